@@ -64,9 +64,19 @@ pub struct DetectArguments {
     /// Puts so many pictures, smaller, onto one contact sheet each, in the same folder
     #[arg(long, value_name = "N", requires = "pictures", value_parser = clap::value_parser!(u64).range(1..=100))]
     sheet: Option<u64>,
-    /// Writes the lines of JSON there in place of standard output
-    #[arg(long, value_name = "FILE")]
-    out: Option<PathBuf>,
+    /// Writes the lines of JSON there; - stands for standard output
+    #[arg(long, value_name = "FILE", default_value = STANDARD_OUTPUT)]
+    out: PathBuf,
+}
+
+/// What stands for standard output in place of a file.
+const STANDARD_OUTPUT: &str = "-";
+
+impl DetectArguments {
+    /// The file that the lines of JSON are written into, if any is.
+    fn file(&self) -> Option<PathBuf> {
+        (self.out != Path::new(STANDARD_OUTPUT)).then(|| self.out.clone())
+    }
 }
 
 /// Four numbers with commas between them.
@@ -100,8 +110,8 @@ pub fn detect(arguments: &DetectArguments) -> Result<()> {
     }
     refuse_to_overwrite(arguments)?;
     let mut frames = Frames::open(arguments)?;
-    let mut lines = match &arguments.out {
-        Some(path) => JsonLines::open(path, false)?,
+    let mut lines = match arguments.file() {
+        Some(path) => JsonLines::open(&path, false)?,
         None => JsonLines::standard_output(),
     };
     let wants_pictures = arguments.pictures.is_some() || arguments.moving.is_some();
@@ -132,7 +142,7 @@ pub fn detect(arguments: &DetectArguments) -> Result<()> {
 /// Refuses to write what is read, and one file in two ways, before anything is made or opened.
 fn refuse_to_overwrite(arguments: &DetectArguments) -> Result<()> {
     let here = Path::new("");
-    let written: Vec<_> = FileUse::given(here, [("--out", &arguments.out)])
+    let written: Vec<_> = FileUse::given(here, [("--out", &arguments.file())])
         .into_iter()
         .chain(picture_config(arguments).writes(here, "--pictures", "--moving"))
         .collect();

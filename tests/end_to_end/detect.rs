@@ -37,6 +37,9 @@ fn detect_finds_what_the_pipeline_finds_to_the_bit() {
     assert_eq!(detected.len(), 12);
     // The stamps follow `rate_hz`; of what nobody paces they are those of 30 frames per second in both.
     assert_eq!(detected, piped);
+    let told = playground.conicflow(&["detect", "frames", "--camera", &camera, "--out", "-"]).expect_code(0);
+    assert_eq!(results(&told.stdout), detected);
+    assert!(!playground.path("-").exists());
     let objects: usize = detected.iter().map(|line| line["objects"].as_array().unwrap().len()).sum();
     assert!(objects >= 12, "{objects} objects in 12 frames");
     ended.expect_told(&["in 12 frames: ", "cylinder"]);
