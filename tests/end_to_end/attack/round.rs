@@ -184,6 +184,15 @@ impl Round {
         is_whole.then_some(if last == 0 { Whole::FromStart } else { Whole::FromSomewhere })
     }
 
+    /// How often a machine in between was begun again under the last run of the source: each time what it held is gone with it.
+    pub fn relays_begun_again(&self) -> usize {
+        let again = self.blows.iter().rev().filter_map(|(_, blow)| match blow {
+            Blow::Again(machine, _) => Some(*machine),
+            _ => None,
+        });
+        again.take_while(|&machine| machine > 0).filter(|machine| machine + 1 < self.machines.len()).count()
+    }
+
     /// Leaves out what was done before a run was begun again for the last time.
     pub fn forget_former_runs(&mut self) {
         let last = self.blows.iter().rposition(|(_, blow)| matches!(blow, Blow::Again(..)));
