@@ -74,8 +74,8 @@ pub struct PooledParameters {
     pub min_half_angle_deg: f64,
     /// Time for the ellipses of one image, in milliseconds of the clock, after which nothing further is looked for; 0: no
     /// limit. Default: 30 where the stage takes the newest message (`latest`), so that it keeps up with 30 images a second; no
-    /// limit where it takes each (`lossless`), nor in the library. What is most curved comes first. With a limit the same image
-    /// may give other objects on a busy machine.
+    /// limit where it takes each (`lossless`), nor in the library. What is most curved comes first, but later where something grew
+    /// in vain from the same surface. With a limit the same image may give other objects on a busy machine.
     #[schemars(range(min = 0.0, max = 10_000.0))]
     pub budget_ms: Option<f64>,
     /// For how many images counts what an image shows of where this sensor puts contours; 0: each image is looked at as if it
