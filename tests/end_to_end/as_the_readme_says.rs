@@ -178,12 +178,15 @@ fn who_has_python_installs_the_package_and_finds_objects() {
         return;
     }
     let folders = format!("{}:{}", playground.path("venv/bin").display(), std::env::var("PATH").unwrap());
+    // A part of what the package is made of has been built there.
+    let target = Path::new(env!("CARGO_TARGET_TMPDIR")).parent().unwrap();
     let run = |script: &str, folder: &Path| {
         let mut shell = Command::new("sh");
         shell
             .args(["-ec", script])
             .current_dir(folder)
             .env("PATH", &folders)
+            .env("CARGO_TARGET_DIR", target)
             .env("MATURIN_PEP517_ARGS", "--profile dev");
         shell.output().unwrap()
     };

@@ -28,6 +28,11 @@ fn kill_all(run: Started) {
     wait_until("all are gone", || processes.iter().all(|process| parent(*process).is_none()));
 }
 
+/// A playground for the usual pipeline, for runs that see a /dev/shm of their own.
+fn tracking() -> Playground {
+    Playground::outside_shared_memory().and_pipeline(TRACKING)
+}
+
 /// A run in the middle of its work.
 fn working(memory: &OwnSharedMemory, playground: &Playground) -> Started {
     let mut run = memory.start(playground, &["run", "--set", "source.rate_hz=50"]);
@@ -38,7 +43,7 @@ fn working(memory: &OwnSharedMemory, playground: &Playground) -> Started {
 #[test]
 fn a_machine_with_which_nothing_is_wrong_is_left_as_it_was() {
     let Some(memory) = OwnSharedMemory::new("64m") else { return };
-    let playground = Playground::with_pipeline(TRACKING);
+    let playground = tracking();
     let ended = memory.conicflow(&playground, &["doctor"]).expect_code(0);
     assert!(ended.stdout.starts_with("nothing is wrong; `tracking` needs up to "), "{}", ended.stdout);
     assert_eq!(fs::read_dir(playground.runtime()).unwrap().count(), 0, "a look makes no folder");
@@ -48,7 +53,7 @@ fn a_machine_with_which_nothing_is_wrong_is_left_as_it_was() {
 #[test]
 fn what_a_killed_run_has_left_is_found_and_removed() {
     let Some(memory) = OwnSharedMemory::new("64m") else { return };
-    let playground = Playground::with_pipeline(TRACKING);
+    let playground = tracking();
     kill_all(working(&memory, &playground));
     let found = memory.conicflow(&playground, &["doctor"]).expect_code(1);
     assert!(found.stdout.starts_with("problem: what 6 dead processes had in `"), "{}", found.stdout);
@@ -64,7 +69,7 @@ fn what_a_killed_run_has_left_is_found_and_removed() {
 #[test]
 fn what_no_run_would_find_any_more_is_removed_and_what_lives_is_not() {
     let Some(memory) = OwnSharedMemory::new("64m") else { return };
-    let (dead, living) = (Playground::with_pipeline(TRACKING), Playground::with_pipeline(TRACKING));
+    let (dead, living) = (tracking(), tracking());
     kill_all(working(&memory, &dead));
     let left = memory.files();
     let mut run = working(&memory, &living);
@@ -74,7 +79,7 @@ fn what_no_run_would_find_any_more_is_removed_and_what_lives_is_not() {
     File::create(memory.folder().join("iox2_of_another_program.data")).unwrap();
     let theirs: Vec<_> = memory.files().into_iter().filter(|file| !left.contains(file)).collect();
 
-    let other = Playground::with_pipeline(TRACKING);
+    let other = tracking();
     let found = memory.conicflow(&other, &["doctor"]).expect_code(1);
     let count = left.len();
     assert!(found.stdout.starts_with(&format!("problem: {count} files (")), "{}", found.stdout);
@@ -93,7 +98,7 @@ fn what_no_run_would_find_any_more_is_removed_and_what_lives_is_not() {
 #[test]
 fn a_run_finds_its_way_when_doctor_was_there_before_it() {
     let Some(memory) = OwnSharedMemory::new("64m") else { return };
-    let (playground, other) = (Playground::with_pipeline(TRACKING), Playground::with_pipeline(TRACKING));
+    let (playground, other) = (tracking(), tracking());
     kill_all(working(&memory, &playground));
     memory.age();
     memory.conicflow(&other, &["doctor", "--clean"]).expect_code(0);
@@ -105,7 +110,7 @@ fn a_run_finds_its_way_when_doctor_was_there_before_it() {
 #[test]
 fn a_run_for_which_shared_memory_is_too_small_does_not_begin() {
     let Some(memory) = OwnSharedMemory::new("8m") else { return };
-    let playground = Playground::with_pipeline(TRACKING);
+    let playground = tracking();
     let wide = ["--set", "source.width=1280", "--set", "source.height=720", "--set", "source.rate_hz=0"];
     let ended = memory.conicflow(&playground, &[&["run"], &wide[..]].concat()).expect_code(2);
     assert!(ended.stderr.starts_with("error: shared memory has 8."), "{}", ended.stderr);
@@ -118,7 +123,7 @@ fn a_run_for_which_shared_memory_is_too_small_does_not_begin() {
 #[test]
 fn a_run_for_which_shared_memory_is_just_large_enough_works() {
     let Some(memory) = OwnSharedMemory::new("16m") else { return };
-    let playground = Playground::with_pipeline(TRACKING);
+    let playground = tracking();
     let wide = ["--frames", "30", "--set", "source.width=1280", "--set", "source.height=720"];
     memory.conicflow(&playground, &[&["run"], &wide[..]].concat()).expect_code(0);
     assert_eq!(playground.sequences("tracks.jsonl").len(), 30);
@@ -208,7 +213,7 @@ fn a_folder_in_which_another_user_may_not_write_is_told() {
 #[test]
 fn what_another_user_has_left_is_in_nobodys_way_and_stays() {
     let Some(memory) = OwnSharedMemory::new("64m") else { return };
-    let (playground, theirs) = (Playground::with_pipeline(TRACKING), Playground::with_pipeline(TRACKING));
+    let (playground, theirs) = (tracking(), tracking());
     // Their user has to reach the program and the file as well.
     fs::set_permissions(theirs.path(""), PermissionsExt::from_mode(0o777)).unwrap();
     let program = theirs.path("conicflow");
@@ -258,7 +263,7 @@ fn a_stage_without_its_launcher_is_told() {
 #[test]
 fn a_stage_that_finds_shared_memory_full_is_named_and_comes_back_when_there_is_room() {
     let Some(memory) = OwnSharedMemory::new("16m") else { return };
-    let playground = Playground::with_pipeline(TRACKING);
+    let playground = tracking();
     let mut run = working(&memory, &playground);
     let filler = memory.folder().join("filler");
     // It may find too little at once, or lose it to the others while it makes its ports.

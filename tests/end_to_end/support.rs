@@ -107,18 +107,33 @@ pub struct Playground {
 }
 
 impl Playground {
+    /// Its runs have their files in memory, as a user's own are, where that can be: a file system on a disk takes the longer to
+    /// make one of these many small files the more were deleted shortly before.
     pub fn new() -> Self {
-        // Unix sockets lie in the runtime folder, and have to have short paths.
+        Self::with_runs_in(["/dev/shm", "/tmp"].into_iter().find(|folder| Path::new(folder).is_dir()).unwrap())
+    }
+
+    /// A playground for runs that see another /dev/shm than the test does.
+    pub fn outside_shared_memory() -> Self {
+        Self::with_runs_in("/tmp")
+    }
+
+    /// Unix sockets lie in the folder of the runs, and have to have short paths.
+    fn with_runs_in(folder: &str) -> Self {
         let private = Permissions::from_mode(0o700);
-        let runtime = tempfile::Builder::new().prefix("cf").permissions(private).tempdir_in("/tmp").unwrap();
+        let runtime = tempfile::Builder::new().prefix("cf").permissions(private).tempdir_in(folder).unwrap();
         Self { files: TempDir::new().unwrap(), runtime }
     }
 
     /// A playground with this text in `pipeline.toml`, where every command looks for it.
     pub fn with_pipeline(text: &str) -> Self {
-        let playground = Self::new();
-        playground.write("pipeline.toml", text);
-        playground
+        Self::new().and_pipeline(text)
+    }
+
+    /// This playground, with a text there.
+    pub fn and_pipeline(self, text: &str) -> Self {
+        self.write("pipeline.toml", text);
+        self
     }
 
     /// A file or folder of the test.

@@ -1,8 +1,9 @@
 //! Browsers that are told what to do: Chromium by `chromedriver`, Firefox by its own Marionette protocol, which has the same
 //! commands. Firefox has no WebGL without a display; Xvfb is one.
 
-use crate::support::{Started, wait_until};
+use crate::support::{Started, parent, signal, wait_until};
 use crate::view::exchange;
+use rustix::process::Signal;
 use serde_json::{Value as Json, json};
 use std::cell::RefCell;
 use std::fs;
@@ -48,7 +49,7 @@ enum Driver {
     /// Dropped in this order: the browser ends before its profile and its display.
     Firefox {
         stream: RefCell<BufReader<TcpStream>>,
-        _browser: Started,
+        browser: Started,
         _profile: TempDir,
         _display: Piped,
     },
@@ -122,7 +123,7 @@ impl Browser {
         let mut stream = BufReader::new(TcpStream::connect(("127.0.0.1", port)).unwrap());
         assert_eq!(read_marionette(&mut stream)["marionetteProtocol"], 3);
         let (stream, _display) = (RefCell::new(stream), (display, output));
-        let driver = Driver::Firefox { stream, _browser: browser, _profile: profile, _display };
+        let driver = Driver::Firefox { stream, browser, _profile: profile, _display };
         let browser = Self { name: "firefox", driver };
         browser.tell("", "WebDriver:NewSession", &json!({}));
         browser.resize(width, height);
@@ -197,13 +198,21 @@ impl Browser {
 }
 
 impl Drop for Browser {
-    /// Ends Chromium, also after a test that failed; Firefox is a program of the test's own.
+    /// Ends it, also after a test that failed. Firefox is killed, as it has nothing to keep; where the processor is busy it takes
+    /// seconds all the same, because some of its threads run only when nothing else does.
     fn drop(&mut self) {
-        let Driver::Chromium { port, session, .. } = &self.driver else { return };
-        if let Ok(mut stream) = TcpStream::connect(format!("127.0.0.1:{port}")) {
-            write!(stream, "DELETE {session} HTTP/1.1\r\nHost: localhost\r\n\r\n").ok();
-            // The driver answers when that is done.
-            stream.read_exact(&mut [0]).ok();
+        match &self.driver {
+            Driver::Chromium { port, session, .. } => {
+                if let Ok(mut stream) = TcpStream::connect(format!("127.0.0.1:{port}")) {
+                    write!(stream, "DELETE {session} HTTP/1.1\r\nHost: localhost\r\n\r\n").ok();
+                    // The driver answers when that is done.
+                    stream.read_exact(&mut [0]).ok();
+                }
+            }
+            Driver::Firefox { browser, .. } => {
+                signal(browser.id(), Signal::KILL);
+                wait_until("Firefox has ended", || parent(browser.id()).is_none());
+            }
         }
     }
 }
