@@ -178,7 +178,7 @@ fn who_has_python_installs_the_package_and_finds_objects() {
         return;
     }
     let folders = format!("{}:{}", playground.path("venv/bin").display(), std::env::var("PATH").unwrap());
-    // A part of what the package is made of has been built there.
+    // The tests' own build has left there a part of what the package is made of.
     let target = Path::new(env!("CARGO_TARGET_TMPDIR")).parent().unwrap();
     let run = |script: &str, folder: &Path| {
         let mut shell = Command::new("sh");
