@@ -20,8 +20,9 @@ use conicflow_messages::{NoiseModel, is_measured};
 const LINES: u32 = 12; // [algorithmic]
 /// Fewest points of a line or circle whose residual counts as a sample of the noise.
 const TELLING: usize = 12; // [algorithmic]
-/// Distance in pixels between the three pixels of a triple. Pixels farther apart lie on different surfaces too often.
-const APART: usize = 3; // [tuned]
+/// Least distance at one metre between the three pixels of a triple, in metres: three pixels of a Kinect. Pixels farther apart lie on
+/// different surfaces too often, however many pixels the image has; nearer ones often have the same depth of a sensor with steps.
+const APART: f64 = 0.0048; // [tuned]
 /// Fewest triples that give an estimate.
 const FEWEST: usize = 64; // [algorithmic]
 /// A triple whose second difference exceeds so many standard deviations does not lie on one smooth surface.
@@ -165,9 +166,10 @@ fn through(depths: [f64; 2], factors: [f64; 2], variance: impl Fn(f64) -> f64) -
 /// independent: halves that were told apart by the depth of the middle one would be told apart by its noise.
 fn look_at_neighbors(view: &View, image: &[u16], samples: &mut Vec<NoiseSample>) {
     samples.clear();
+    let apart = (APART / view.pitch()).ceil().min(f64::from(view.length)) as usize;
     for line in lines(view) {
-        let depths = view.line(image, line).windows(2 * APART + 1).step_by(APART);
-        let threes = depths.map(|depths| [depths[0], depths[APART], depths[2 * APART]]);
+        let depths = view.line(image, line).windows(2 * apart + 1).step_by(apart);
+        let threes = depths.map(|depths| [depths[0], depths[apart], depths[2 * apart]]);
         samples.extend(threes.filter(|depths| depths.iter().all(|&depth| is_measured(depth))).map(|depths| {
             let [a, b, c] = depths.map(|depth| f64::from(depth) * view.scale);
             let off = b * (b / a + b / c - 2.0);
@@ -214,9 +216,11 @@ fn scatter(samples: &mut [NoiseSample]) -> f64 {
             .fold((0.0, 0.0), |(sum, count), square| (sum + square, count + 1.0))
     };
     let mut level = 1.0;
-    let smooth = SMOOTH * samples.len() as f64;
-    if within(samples, level).1 < smooth {
-        let (_, sample, _) = samples.select_nth_unstable_by(smooth as usize, |a, b| a.square.total_cmp(&b.square));
+    // Where the depths of a sensor go in steps, threes of one depth tell nothing of a model that is far too small.
+    let differing = put_first(samples, |sample| sample.square > 0.0);
+    let (differing, smooth) = (&mut samples[..differing], SMOOTH * differing as f64);
+    if within(differing, level).1 < smooth {
+        let (_, sample, _) = differing.select_nth_unstable_by(smooth as usize, |a, b| a.square.total_cmp(&b.square));
         level = sample.square / SQUARE_OF_SMOOTH;
     }
     loop {
@@ -300,6 +304,23 @@ mod tests {
         assert_eq!((falling.growth_per_m, falling.floor_m), (0.0, kinect.sigma(1.0) * 4.0));
         let steep = at([1.0, 3.0], [0.1, 2.0]);
         assert!(steep.floor_m == 0.0 && (steep.sigma(3.0) - 0.011).abs() < 1e-12, "{steep:?}");
+    }
+
+    /// Waves of three pixels: threes that lie three pixels apart do not see them, threes of neighbours do.
+    #[test]
+    fn threes_lie_as_far_apart_in_the_view_however_many_pixels_that_is() {
+        let seen = |fx: f64| {
+            let camera = Camera { width: 90, height: 12, fx, fy: fx, cx: 44.5, cy: 5.5 };
+            let noise = NoiseModel { floor_m: 0.001, ..NoiseModel::IDEAL };
+            let mut view = View::with(ExtractorParameters::default());
+            let header = Header { camera, noise, depth_scale: 0.001, ..Header::default() };
+            view.turn(&header, Scan::Row, &NoiseEstimate::nominal(noise));
+            let image: Vec<u16> = (0..90 * 12).map(|pixel| [1000, 1003, 1006][pixel % 3]).collect();
+            let mut samples = Vec::new();
+            look_at_neighbors(&view, &image, &mut samples);
+            (samples.len(), samples.iter().any(|sample| sample.square > 0.1))
+        };
+        assert_eq!([200.0, 525.0, 1e9].map(seen), [(12 * 88, true), (12 * 28, false), (0, false)]);
     }
 
     #[test]

@@ -122,7 +122,7 @@ impl View {
         self.correlation_px = [along, across / left];
         self.averaging.set(averaged, across);
         self.least = self.scale * self.scale / 12.0;
-        let pitch = self.camera.pixel_pitch(scan);
+        let pitch = self.pitch();
         let rounding = self.least.sqrt() * noise.level.max(1.0).sqrt();
         let (scale, max_hole_px) = (self.scale, self.parameters.max_hole_px);
         self.jumps.clear();
@@ -136,6 +136,11 @@ impl View {
 
     fn tables(&self) -> &Tables {
         &self.tables[usize::from(self.scan == Scan::Column)]
+    }
+
+    /// Distance at one metre between neighbouring pixels of a line, in metres.
+    pub fn pitch(&self) -> f64 {
+        self.camera.pixel_pitch(self.scan)
     }
 
     /// The plane of a scan line.
@@ -212,7 +217,7 @@ impl View {
 
     /// Noise at a depth between neighbouring pixels of a line, in steps of the steepest surface from one to the next.
     pub fn noise_in_steps(&self, depth: f64) -> f64 {
-        let step = JUMP_SLOPE * depth * self.camera.pixel_pitch(self.scan);
+        let step = JUMP_SLOPE * depth * self.pitch();
         JUMP_SIGMAS * self.variance(depth).sqrt() / step
     }
 
