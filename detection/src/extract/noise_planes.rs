@@ -13,8 +13,8 @@ use nalgebra::{Matrix3, Vector3};
 const SIDE: u32 = 64; // [algorithmic]
 /// Width of an image, in pixels, in which blobs are as long as said.
 const USUAL_WIDTH: u32 = 640; // [algorithmic]
-/// Fewest pixels along the side of a square.
-const LEAST_SIDE: u32 = 24; // [algorithmic]
+/// Fewest and most pixels along the side of a square.
+const SIDES: [u32; 2] = [24, 128]; // [algorithmic] [algorithmic]
 /// The plane of a square is fitted to so many pixels along each of its sides, or a few more.
 const SAMPLES: u32 = 16; // [algorithmic]
 /// A square is looked at if this part of its samples is measured.
@@ -28,8 +28,8 @@ const WITHIN: f64 = 2.0; // [sigmas]
 const FEWEST: usize = 4; // [algorithmic]
 /// Number of rows and of columns of a square of which the correlation is computed.
 const LINES: u32 = 4; // [algorithmic]
-/// Largest distance in pixels at which a correlation is computed.
-const FARTHEST: usize = 32; // [algorithmic]
+/// Largest distance in pixels at which a correlation is computed: half of the largest square.
+const FARTHEST: usize = 64; // [derived]
 /// Correlations up to this count as zero: chance makes them, and so do surfaces that are not quite even.
 const CHANCE: f64 = 0.1; // [tuned]
 /// Largest number of squares of which the correlation is computed.
@@ -83,7 +83,7 @@ type Covariances = [[f64; 2]; FARTHEST + 1];
 /// counts as one.
 pub(super) fn correlation_px(view: &View, image: &[u16], buffers: &mut PlaneSquares) -> [f64; 2] {
     let PlaneSquares { cells, squares, residuals } = buffers;
-    let side = (SIDE * view.length / USUAL_WIDTH).clamp(LEAST_SIDE, SIDE) / 2 * 2;
+    let side = (SIDE * view.length / USUAL_WIDTH).clamp(SIDES[0], SIDES[1]) / 2 * 2;
     collect(view, image, side, squares, cells);
     let Some(planes) = planes(squares) else { return UNSEEN };
     let square = planes.iter().map(|square| square.square).sum::<f64>() / planes.len() as f64;

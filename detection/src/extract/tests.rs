@@ -290,6 +290,29 @@ fn a_small_thing_alone_before_a_wall_does_not_change_the_noise() {
     }
 }
 
+/// The same image with every second pixel of every second row.
+fn halved((header, pixels): &(Header, Vec<u16>)) -> (Header, Vec<u16>) {
+    let Camera { width, height, fx, fy, cx, cy } = header.camera;
+    let rows = pixels.chunks(width as usize).step_by(2);
+    let pixels = rows.flat_map(|row| row.iter().step_by(2).copied()).collect();
+    let [fx, fy, cx, cy] = [fx, fy, cx, cy].map(|number| 0.5 * number);
+    (Header { camera: Camera { width: width / 2, height: height / 2, fx, fy, cx, cy }, ..*header }, pixels)
+}
+
+/// Clutter bends, and pixels that lie twice as far apart in the view would take that for noise.
+#[test]
+fn half_of_an_image_is_not_noisier() {
+    for seed in 0..7 {
+        let whole = shot(random_scene(SceneGroup::Furnished, seed), 3, 640, seed);
+        let sigma = |(header, pixels): &(Header, Vec<u16>)| {
+            let seen = Extractor::new(config(ScanLines::Rows)).estimate_noise(header, pixels);
+            (seen.level * seen.model.variance(2.0)).sqrt()
+        };
+        let ratio = sigma(&halved(&whole)) / sigma(&whole);
+        assert!((0.85..1.15).contains(&ratio), "{ratio} with seed {seed}");
+    }
+}
+
 /// How many neighbouring pixels share their noise in a room that a sensor with such windows sees.
 fn shared_px(noise_window_px: u32, width: u32, seed: u64) -> [f64; 2] {
     let (header, pixels) = shot(random_scene(SceneGroup::Clutter, seed), noise_window_px, width, seed);
@@ -298,7 +321,7 @@ fn shared_px(noise_window_px: u32, width: u32, seed: u64) -> [f64; 2] {
 
 #[test]
 fn as_many_pixels_share_their_noise_as_do() {
-    for (width, window) in [(320, 1), (320, 3), (320, 5), (640, 1), (640, 5), (640, 13)] {
+    for (width, window) in [(320, 1), (320, 3), (320, 5), (640, 1), (640, 5), (640, 13), (1280, 31)] {
         let rooms: Vec<_> = (0..7).map(|seed| shared_px(window, width, seed)).collect();
         for direction in [0, 1] {
             let mut shared: Vec<_> = rooms.iter().map(|room| room[direction]).collect();
