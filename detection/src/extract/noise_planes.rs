@@ -17,8 +17,9 @@ const USUAL_WIDTH: u32 = 640; // [algorithmic]
 const SIDES: [u32; 2] = [24, 128]; // [algorithmic] [algorithmic]
 /// The plane of a square is fitted to so many pixels along each of its sides, or a few more.
 const SAMPLES: u32 = 16; // [algorithmic]
-/// A square is looked at if this part of its samples is measured.
-const MEASURED: f64 = 0.9; // [algorithmic]
+/// A square is looked at if this part of its samples is measured, and a line of it if this part of its pixels is. Where that shows
+/// nothing, as in an image that is full of holes, the second part is enough.
+const MEASURED: [f64; 2] = [0.9, 0.5]; // [algorithmic] [algorithmic]
 /// The flattest of all squares is this part of them: at least these show nothing but planes.
 const FLAT: f64 = 0.15; // [tuned]
 /// A square whose mean square residual exceeds that of the flat ones by this factor shows no plane. With 20 blobs to a square it
@@ -70,8 +71,11 @@ struct CellSums {
 pub(super) struct PlaneSquares {
     cells: Vec<CellSums>,
     squares: Vec<Square>,
-    residuals: Vec<f64>,
+    residuals: Vec<Residual>,
 }
+
+/// How far a pixel is off its plane, in standard deviations of the model, and 1; zeros where it is not measured.
+type Residual = [f64; 2];
 
 /// Sums of products of residuals that are 0, 1, ... pixels apart, and how many.
 type Covariances = [[f64; 2]; FARTHEST + 1];
@@ -82,49 +86,68 @@ type Covariances = [[f64; 2]; FARTHEST + 1];
 /// Waves that are longer than what the level of the noise was taken from make planes uneven by more than that: they widen what
 /// counts as one.
 pub(super) fn correlation_px(view: &View, image: &[u16], buffers: &mut PlaneSquares) -> [f64; 2] {
-    let PlaneSquares { cells, squares, residuals } = buffers;
-    let side = (SIDE * view.length / USUAL_WIDTH).clamp(SIDES[0], SIDES[1]) / 2 * 2;
-    collect(view, image, side, squares, cells);
-    let Some(planes) = planes(squares) else { return UNSEEN };
-    let square = planes.iter().map(|square| square.square).sum::<f64>() / planes.len() as f64;
-    let shared = [0, 1].map(|direction| {
-        let mut covariances: Covariances = [[0.0; 2]; FARTHEST + 1];
-        for plane in planes.iter().step_by(planes.len().div_ceil(MOST)) {
-            for line in 0..LINES {
-                read_line(view, image, plane, (side, direction, line), residuals);
-                if residuals.len() == side as usize {
-                    add_line(residuals, square, &mut covariances);
+    let half = (SIDE * view.length / USUAL_WIDTH).clamp(SIDES[0], SIDES[1]) / 2;
+    buffers.sum_cells(view, image, half);
+    MEASURED.into_iter().find_map(|measured| buffers.shared_px(view, image, half, measured)).unwrap_or(UNSEEN)
+}
+
+impl PlaneSquares {
+    /// How many neighbours count as one by the squares and lines of which this part is measured; `None` where these are too few.
+    fn shared_px(&mut self, view: &View, image: &[u16], half: u32, measured: f64) -> Option<[f64; 2]> {
+        self.fit_squares(view, half, measured);
+        let (planes, side) = (planes(&mut self.squares)?, 2 * half);
+        let square = planes.iter().map(|square| square.square).sum::<f64>() / planes.len() as f64;
+        let mut px = [0.0; 2];
+        for (direction, px) in px.iter_mut().enumerate() {
+            let mut covariances: Covariances = [[0.0; 2]; FARTHEST + 1];
+            for plane in planes.iter().step_by(planes.len().div_ceil(MOST)) {
+                for line in 0..LINES {
+                    let count = read_line(view, image, plane, (side, direction, line), &mut self.residuals);
+                    if count >= measured * f64::from(side) {
+                        add_line(&self.residuals, square, &mut covariances);
+                    }
                 }
             }
+            *px = shared(&covariances)?;
         }
-        shared(&covariances).unwrap_or(UNSEEN[direction])
-    });
-    let level = square / kept(f64::from(side * side) / (shared[0] * shared[1]));
-    shared.map(|px| px * level.max(1.0).sqrt())
+        let level = square / kept(f64::from(side * side) / (px[0] * px[1]));
+        Some(px.map(|px| px * level.max(1.0).sqrt()))
+    }
+
+    /// Sums up the cells of the image, of so many pixels along their side.
+    fn sum_cells(&mut self, view: &View, image: &[u16], half: u32) {
+        let [columns, rows] = cells_of(view, half);
+        self.cells.clear();
+        for v in (0..view.lines).step_by(half as usize).take(rows) {
+            let row = (0..view.length).step_by(half as usize).take(columns);
+            self.cells.extend(row.map(|u| sums(view, image, [u, v], half)));
+        }
+    }
+
+    /// The squares of the image of which this part is measured. Each overlaps its neighbours by half: what four of them have in
+    /// common is summed once, by cells of half their side.
+    fn fit_squares(&mut self, view: &View, half: u32, measured: f64) {
+        let [columns, rows] = cells_of(view, half);
+        self.squares.clear();
+        for row in 1..rows {
+            for column in 1..columns {
+                let quarters =
+                    [0, 1, columns, columns + 1].map(|cell| &self.cells[(row - 1) * columns + column - 1 + cell]);
+                let corner = [(column - 1) as u32 * half, (row - 1) as u32 * half];
+                self.squares.extend(fit(view, quarters, corner, half, measured));
+            }
+        }
+    }
+}
+
+/// How many cells of this side a view has along its rows, and how many rows of them.
+fn cells_of(view: &View, half: u32) -> [usize; 2] {
+    [view.length, view.lines].map(|pixels| (pixels / half) as usize)
 }
 
 /// The part of the noise of so many independent points that a plane through them leaves: it has three parameters.
 fn kept(independent: f64) -> f64 {
     1.0 - (3.0 / independent).min(MOST_TAKEN)
-}
-
-/// The squares of the image that are measured. Each overlaps its neighbours by half: what four of them have in common is summed
-/// once, by cells of half their side.
-fn collect(view: &View, image: &[u16], side: u32, squares: &mut Vec<Square>, cells: &mut Vec<CellSums>) {
-    let half = side / 2;
-    let [columns, rows] = [view.length, view.lines].map(|pixels| (pixels / half) as usize);
-    cells.clear();
-    for v in (0..view.lines).step_by(half as usize).take(rows) {
-        cells.extend((0..view.length).step_by(half as usize).take(columns).map(|u| sums(view, image, [u, v], half)));
-    }
-    squares.clear();
-    for row in 1..rows {
-        for column in 1..columns {
-            let quarters = [0, 1, columns, columns + 1].map(|cell| &cells[(row - 1) * columns + column - 1 + cell]);
-            let corner = [(column - 1) as u32 * half, (row - 1) as u32 * half];
-            squares.extend(fit(view, quarters, corner, half));
-        }
-    }
 }
 
 /// What a cell of so many pixels along its side adds to the fit of a plane.
@@ -152,11 +175,11 @@ fn sums(view: &View, image: &[u16], corner: [u32; 2], side: u32) -> CellSums {
     CellSums { samples: samples.len().pow(2), places, right, squares }
 }
 
-/// The plane through a square, of which the cells are as long as `half` its side.
-fn fit(view: &View, quarters: [&CellSums; 4], corner: [u32; 2], half: u32) -> Option<Square> {
+/// The plane through a square, of which the cells are as long as `half` its side; `None` where less than this part is measured.
+fn fit(view: &View, quarters: [&CellSums; 4], corner: [u32; 2], half: u32, measured: f64) -> Option<Square> {
     let samples: usize = quarters.iter().map(|cell| cell.samples).sum();
     let count: f64 = quarters.iter().map(|cell| cell.places[0]).sum();
-    if count < MEASURED * samples as f64 {
+    if count < measured * samples as f64 {
         return None;
     }
     let (middle, off) = (f64::from(half), 0.5 * f64::from(half));
@@ -189,35 +212,39 @@ fn planes(squares: &mut [Square]) -> Option<&[Square]> {
     Some(&squares[..squares.partition_point(|square| square.square <= WITHIN * mean)])
 }
 
-/// Reads how far one of the [`LINES`] rows, or columns, of a square is off the plane, as far as it is measured, in standard
-/// deviations of the model.
+/// Reads how far one of the [`LINES`] rows, or columns, of a square is off the plane; how many of its pixels are measured.
 fn read_line(
     view: &View,
     image: &[u16],
     square: &Square,
     (side, direction, line): (u32, usize, u32),
-    residuals: &mut Vec<f64>,
-) {
+    residuals: &mut Vec<Residual>,
+) -> f64 {
     let scale = square.depth.powi(2) / view.variance(square.depth).sqrt();
     let line = (2 * line + 1) * side / (2 * LINES);
     residuals.clear();
-    residuals.extend((0..side).map_while(|along| {
+    residuals.extend((0..side).map(|along| {
         let [x, y] = if direction == 0 { [along, line] } else { [line, along] };
         let depth = view.line(image, square.corner[1] + y)[(square.corner[0] + x) as usize];
         let plane = square.plane.dot(&Vector3::new(1.0, f64::from(x), f64::from(y)));
-        is_measured(depth).then(|| (1.0 / (f64::from(depth) * view.scale) - plane) * scale)
+        if is_measured(depth) { [(1.0 / (f64::from(depth) * view.scale) - plane) * scale, 1.0] } else { [0.0; 2] }
     }));
+    residuals.iter().map(|[_, seen]| seen).sum()
 }
 
 /// Adds what a line of residuals shows, given the mean square that is usual. One that exceeds it by more than [`WITHIN`] counts as one
 /// that does so by as much: it meets what the samples of the plane have missed, such as a thin thing, and would outweigh all others.
-fn add_line(residuals: &[f64], usual: f64, covariances: &mut Covariances) {
-    let sum = |apart: usize| residuals.iter().zip(&residuals[apart..]).map(|(a, b)| a * b).sum::<f64>();
-    let square = sum(0) / residuals.len() as f64;
-    let share = (WITHIN * usual / square).min(1.0);
-    for (apart, [known, count]) in covariances.iter_mut().enumerate().take(residuals.len() / 2) {
-        *known += share * sum(apart);
-        *count += (residuals.len() - apart) as f64;
+fn add_line(residuals: &[Residual], usual: f64, covariances: &mut Covariances) {
+    let pairs = |apart: usize| {
+        let pairs = residuals.iter().zip(&residuals[apart..]);
+        pairs.fold([0.0; 2], |[sum, count], (a, b)| [sum + a[0] * b[0], count + a[1] * b[1]])
+    };
+    let [square, count] = pairs(0);
+    let share = (WITHIN * usual * count / square).min(1.0);
+    for (apart, [known, known_count]) in covariances.iter_mut().enumerate().take(residuals.len() / 2) {
+        let [sum, count] = pairs(apart);
+        *known += share * sum;
+        *known_count += count;
     }
 }
 
@@ -251,6 +278,14 @@ mod tests {
         (view, pixels.map(|[x, y]| (depth_m(x, y) * 1e4).round() as u16).collect())
     }
 
+    /// The squares of an image, with this side, of which this part is measured.
+    fn squares((view, image): &(View, Vec<u16>), side: u32, measured: f64) -> Vec<Square> {
+        let mut buffers = PlaneSquares::default();
+        buffers.sum_cells(view, image, side / 2);
+        buffers.fit_squares(view, side / 2, measured);
+        buffers.squares
+    }
+
     fn nearness(x: u32, y: u32) -> f64 {
         0.5 + 0.001 * f64::from(x) - 0.0005 * f64::from(y)
     }
@@ -261,10 +296,9 @@ mod tests {
         let is_missing = |x: u32, y: u32| {
             (x * 7 + y * 3).is_multiple_of(41) || (x % 24 < 5 && y % 24 < 7 && (x + y).is_multiple_of(2))
         };
-        let (view, image) = image(|x, y| if is_missing(x, y) { 0.0 } else { 1.0 / nearness(x, y) });
+        let image = image(|x, y| if is_missing(x, y) { 0.0 } else { 1.0 / nearness(x, y) });
         for side in [24, 64] {
-            let (mut squares, mut cells) = (Vec::new(), Vec::new());
-            collect(&view, &image, side, &mut squares, &mut cells);
+            let squares = squares(&image, side, 0.9);
             let places = [150, 80].map(|pixels| pixels / (side / 2) - 1);
             assert_eq!(squares.len() as u32, places[0] * places[1], "they overlap by half");
             for Square { corner, plane, depth, square } in squares {
@@ -289,24 +323,20 @@ mod tests {
     fn the_residual_of_a_plane_is_the_noise() {
         let random = CounterRng::new(5, 0);
         let noise = |x: u32, y: u32| 0.002 * random.gaussian(u64::from(150 * y + x));
-        let (view, image) = image(|x, y| 1.0 / nearness(x, y) + noise(x, y));
-        let (mut squares, mut cells) = (Vec::new(), Vec::new());
-        collect(&view, &image, 24, &mut squares, &mut cells);
+        let squares = squares(&image(|x, y| 1.0 / nearness(x, y) + noise(x, y)), 24, 0.9);
         let mean = squares.iter().map(|square| square.square).sum::<f64>() / squares.len() as f64;
         assert!((3.7..4.3).contains(&mean), "{mean} variances of the model");
     }
 
     #[test]
-    fn a_square_that_lacks_a_tenth_of_its_pixels_is_not_looked_at() {
-        let squares_with = |missing: u32| {
+    fn a_square_that_lacks_more_of_its_pixels_than_it_may_is_not_looked_at() {
+        let squares_with = |(missing, measured): (u32, f64)| {
             // So many in each block of 12 x 12 pixels, which is a quarter of a square.
             let is_missing = |x: u32, y: u32| y % 12 * 12 + x % 12 < missing;
-            let (view, image) = image(|x, y| if is_missing(x, y) { 0.0 } else { 1.0 / nearness(x, y) });
-            let (mut squares, mut cells) = (Vec::new(), Vec::new());
-            collect(&view, &image, 24, &mut squares, &mut cells);
-            squares.len()
+            let image = image(|x, y| if is_missing(x, y) { 0.0 } else { 1.0 / nearness(x, y) });
+            squares(&image, 24, measured).len()
         };
-        assert_eq!([14, 15].map(squares_with), [55, 0]);
+        assert_eq!([(14, 0.9), (15, 0.9), (72, 0.5), (73, 0.5)].map(squares_with), [55, 0, 55, 0]);
     }
 
     #[test]
@@ -352,32 +382,36 @@ mod tests {
     }
 
     #[test]
-    fn a_line_is_read_as_far_as_it_is_measured() {
+    fn of_a_line_with_holes_the_pairs_count_that_are_measured() {
         let (view, mut image) = image(|_, _| 2.001);
-        let mut residuals = Vec::new();
-        let mut read = |image: &[u16], direction: usize| {
-            read_line(&view, image, &PLANE, (24, direction, 0), &mut residuals);
-            residuals.len()
-        };
-        assert_eq!([0, 1].map(|direction| read(&image, direction)), [24, 24]);
         // In the first row that is looked at, three pixels below the corner, and in none of the columns.
         image[27 * 150 + 35] = 0;
-        assert_eq!([0, 1].map(|direction| read(&image, direction)), [23, 24]);
+        let mut residuals = Vec::new();
+        let pairs = [0, 1].map(|direction| {
+            let count = read_line(&view, &image, &PLANE, (24, direction, 0), &mut residuals);
+            let mut covariances = [[0.0; 2]; FARTHEST + 1];
+            add_line(&residuals, 2.0, &mut covariances);
+            let [alone, beside, apart] = [0, 1, 5].map(|apart| covariances[apart]);
+            assert!([alone, beside, apart].iter().all(|[sum, count]| (sum / count - alone[0] / alone[1]).abs() < 1e-9));
+            [count, alone[1], beside[1], apart[1]]
+        });
+        // The pixel is the last one.
+        assert_eq!(pairs, [[23.0, 23.0, 22.0, 18.0], [24.0, 24.0, 23.0, 19.0]]);
     }
 
     #[test]
     fn a_line_that_meets_a_thin_thing_counts_no_more_than_one_without() {
-        let plain = [[1.0; 4], [-1.0; 4]].as_flattened().repeat(3);
+        let plain = [[[1.0, 1.0]; 4], [[-1.0, 1.0]; 4]].as_flattened().repeat(3);
         let mut beside_a_wire = plain.clone();
-        beside_a_wire[10] = 100.0;
-        let of = |lines: &[&[f64]]| {
+        beside_a_wire[10][0] = 100.0;
+        let of = |lines: &[&[Residual]]| {
             let mut covariances = [[0.0; 2]; FARTHEST + 1];
             lines.iter().for_each(|line| add_line(line, 1.0, &mut covariances));
             shared(&covariances).unwrap()
         };
         let [usual, wide] = [1.5, 2.0].map(|root| {
             let (line, mut covariances) =
-                (plain.iter().map(|x| root * x).collect::<Vec<_>>(), [[0.0; 2]; FARTHEST + 1]);
+                (plain.iter().map(|[x, one]| [root * x, *one]).collect::<Vec<_>>(), [[0.0; 2]; FARTHEST + 1]);
             add_line(&line, 1.2, &mut covariances);
             covariances.map(|[sum, count]| sum / count)
         });
@@ -391,15 +425,21 @@ mod tests {
         assert!((0.8..1.0).contains(&(among_others / alone)), "{among_others} {alone}");
     }
 
+    /// Nothing is measured in some of each 12 columns: of nearly all rows and squares more than a tenth, or more than a half.
     #[test]
-    fn where_no_row_is_whole_as_many_share_their_noise_as_where_no_plane_is_seen() {
+    fn an_image_that_is_full_of_holes_tells_as_well_who_shares_noise_but_not_one_that_is_mostly_holes() {
         let random = CounterRng::new(7, 0);
-        let noise = |x: u32, y: u32| 0.001 * random.gaussian(u64::from(150 * y + x));
-        let (view, image) = image(|x, y| if x % 12 == 5 { 0.0 } else { 2.0 + noise(x, y) });
-        let [rows, columns] = correlation_px(&view, &image, &mut PlaneSquares::default());
-        assert!((6.9..7.6).contains(&rows) && (0.97..1.1).contains(&columns), "{rows} {columns}");
-        let (view, blank) = self::image(|_, _| 0.0);
-        assert_eq!(correlation_px(&view, &blank, &mut PlaneSquares::default()), UNSEEN);
+        // Each noise is that of two neighbours of a row.
+        let noise = |x: u32, y: u32| 0.001 * random.gaussian(u64::from(150 * y + x / 2));
+        let shared_with = |holes: u32| {
+            let (view, image) = image(|x, y| if x % 12 < holes { 0.0 } else { 2.0 + noise(x, y) });
+            correlation_px(&view, &image, &mut PlaneSquares::default())
+        };
+        for holes in [0, 1, 4] {
+            let [rows, columns] = shared_with(holes);
+            assert!((1.8..2.3).contains(&rows) && (0.97..1.15).contains(&columns), "{rows} {columns} with {holes}");
+        }
+        assert_eq!([8, 12].map(shared_with), [UNSEEN; 2]);
     }
 
     #[test]
@@ -417,7 +457,7 @@ mod tests {
         assert!((of(&[0.5, CHANCE]) - 2.0).abs() < 1e-12);
         assert_eq!(shared(&[[0.0; 2]; FARTHEST + 1]), None, "nothing is known");
         let mut of_an_ideal_sensor = [[0.0; 2]; FARTHEST + 1];
-        add_line(&[0.0; 24], 1.0, &mut of_an_ideal_sensor);
+        add_line(&[[0.0, 1.0]; 24], 1.0, &mut of_an_ideal_sensor);
         assert_eq!(shared(&of_an_ideal_sensor), Some(1.0));
         assert_eq!(of(&[-0.5]), 1.0);
     }
