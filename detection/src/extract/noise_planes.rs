@@ -30,7 +30,7 @@ const FEWEST: usize = 4; // [algorithmic]
 /// Number of rows and of columns of a square of which the correlation is computed.
 const LINES: u32 = 4; // [algorithmic]
 /// Largest distance in pixels at which a correlation is computed: half of the largest square.
-const FARTHEST: usize = 64; // [derived]
+const FARTHEST: usize = SIDES[1] as usize / 2; // [derived]
 /// Correlations up to this count as zero: chance makes them, and so do surfaces that are not quite even.
 const CHANCE: f64 = 0.1; // [tuned]
 /// Largest number of squares of which the correlation is computed.
