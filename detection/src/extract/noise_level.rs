@@ -166,7 +166,7 @@ fn through(depths: [f64; 2], factors: [f64; 2], variance: impl Fn(f64) -> f64) -
 /// independent: halves that were told apart by the depth of the middle one would be told apart by its noise.
 fn look_at_neighbors(view: &View, image: &[u16], samples: &mut Vec<NoiseSample>) {
     samples.clear();
-    let apart = (APART / view.pitch()).ceil().min(f64::from(view.length)) as usize;
+    let apart = ((APART / view.pitch()).ceil() as usize).min(view.length as usize).max(1);
     for line in lines(view) {
         let depths = view.line(image, line).windows(2 * apart + 1).step_by(apart);
         let threes = depths.map(|depths| [depths[0], depths[apart], depths[2 * apart]]);
@@ -321,6 +321,7 @@ mod tests {
             (samples.len(), samples.iter().any(|sample| sample.square > 0.1))
         };
         assert_eq!([200.0, 525.0, 1e9].map(seen), [(12 * 88, true), (12 * 28, false), (0, false)]);
+        assert_eq!([0.0, f64::NAN].map(|fx| seen(fx).0), [12 * 88; 2], "a camera that nobody set, too");
     }
 
     #[test]
