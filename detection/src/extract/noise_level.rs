@@ -20,8 +20,9 @@ use conicflow_messages::{NoiseModel, is_measured};
 const LINES: u32 = 12; // [algorithmic]
 /// Fewest points of a line or circle whose residual counts as a sample of the noise.
 const TELLING: usize = 12; // [algorithmic]
-/// Least distance at one metre between the three pixels of a triple, in metres: three pixels of a Kinect. Pixels farther apart lie on
-/// different surfaces too often, however many pixels the image has; nearer ones often have the same depth of a sensor with steps.
+/// Least distance at one metre between the three pixels of a triple, in metres: a Kinect's lie three pixels apart. Pixels farther
+/// apart lie on different surfaces too often, however many pixels the image has; nearer ones often have the same depth of a sensor
+/// with steps.
 const APART: f64 = 0.0048; // [tuned]
 /// Fewest triples that give an estimate.
 const FEWEST: usize = 64; // [algorithmic]

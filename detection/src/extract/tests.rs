@@ -299,7 +299,7 @@ fn halved((header, pixels): &(Header, Vec<u16>)) -> (Header, Vec<u16>) {
     (Header { camera: Camera { width: width / 2, height: height / 2, fx, fy, cx, cy }, ..*header }, pixels)
 }
 
-/// Clutter bends, and pixels that lie twice as far apart in the view would take that for noise.
+/// Clutter bends: between pixels that lie twice as far apart in the view, that would look like noise.
 #[test]
 fn half_of_an_image_is_not_noisier() {
     for seed in 0..7 {
