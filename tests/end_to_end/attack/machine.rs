@@ -155,7 +155,9 @@ impl Machine {
         self.lives += 1;
         let again = self.playground.start(&self.command);
         let ended = std::mem::replace(&mut self.run, again).wait();
-        wait_for_shared_memory(&mut self.run, &self.playground);
+        // A signal before the launcher listens may be lost: what a script starts in the background ignores SIGINT until then.
+        let launcher = self.run.id();
+        self.run.wait_until("it has stages", || !stages_of(launcher).is_empty());
         ended
     }
 
