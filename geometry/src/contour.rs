@@ -258,6 +258,18 @@ impl Contour {
         (count, if count > 0 { sum / count as f64 } else { 0.0 })
     }
 
+    /// How far the points that are used are expected to lie outside the outline, in pixels across it: their mean; 0 where they are
+    /// expected inside it, and without points.
+    pub fn outside_px(&self) -> f64 {
+        let outwards = |seen: &Seen| [-1.0, 1.0][seen.point.side] * seen.expected * seen.along;
+        let (count, sum) = self
+            .points
+            .iter()
+            .filter(|seen| seen.used)
+            .fold((0.0, 0.0), |(count, sum), seen| (count + 1.0, sum + outwards(seen)));
+        if count > 0.0 { (sum / count).max(0.0) } else { 0.0 }
+    }
+
     /// How many of them are seen, and too far off to be used.
     pub fn far_off(&self) -> usize {
         self.far_off

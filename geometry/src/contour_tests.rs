@@ -244,6 +244,30 @@ fn four_lines_that_share_their_noise_tell_a_fourth_of_what_they_would_by_a_bias_
 }
 
 #[test]
+fn a_contour_is_expected_outside_by_the_mean_of_its_sides_across_the_outline() {
+    let outside = |mean: [f64; 4]| {
+        let bias = ContourBias { mean: mean.into(), ..noise().bias };
+        let q = FreeSlope(cup()).coefficients();
+        let mut contour = contour_on(105..140, &q, 12.0, 0.0, ContourNoise { bias, ..noise() });
+        contour.points.iter_mut().for_each(|seen| seen.place(0.8, 12.0, &contour.noise));
+        // All that is left is of the last side.
+        let both = contour.outside_px();
+        contour.points.iter_mut().for_each(|seen| seen.used = seen.point.side == 1);
+        [both, contour.outside_px()]
+    };
+    for (mean, expected) in [
+        ([-1.0, 0.0, 3.0, 0.0], [2.0, 3.0]),
+        ([0.0, -0.25, 0.0, 0.5], [4.5, 6.0]),
+        ([-1.0, 0.0, -0.5, 0.0], [0.25, 0.0]),
+        ([1.0, 0.0, -3.0, 0.0], [0.0, 0.0]),
+    ] {
+        let shown = outside(mean);
+        assert!((Vector2::from(shown) - Vector2::from(expected)).amax() < 1e-9, "{mean:?}: {shown:?}");
+    }
+    assert_eq!(Contour::default().outside_px().to_bits(), 0.0_f64.to_bits(), "no points");
+}
+
+#[test]
 fn what_is_far_off_is_not_used() {
     for pixels in [8.0, -8.0] {
         let exact = ContourNoise { point: Vector2::new(0.01, 0.0), ..noise() };

@@ -48,7 +48,7 @@ pub use ellipse::{Conic, Ellipse, fit_ellipse};
 pub use information::Information;
 pub use line::{Line, LineMoments, PencilMoments, line_rms};
 pub use moments::{MOMENTS, PlaneMoments};
-pub use pooled::{GradientNoise, Prediction, SurfaceFit, fit_surface, fit_with_contour, gradient};
+pub use pooled::{GradientNoise, Prediction, SurfaceFit, fit_surface, fit_with_contour, gradient, meets};
 pub use profile::{CircleProfile, fit_circle_profile, fit_line_profile};
 pub use regression::{Fit, Regression};
 pub use section::SectionShape;

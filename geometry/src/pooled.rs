@@ -177,6 +177,14 @@ pub fn gradient(q: &Coefficients, p: &Vector3) -> Vector3 {
     )
 }
 
+/// Whether the line of a ray meets a quadric, be it behind the camera.
+pub fn meets(q: &Coefficients, ray: &Vector3) -> bool {
+    let [xx, yy, zz, xy, xz, yz, x, y, z, c] = *q;
+    let a = ray.x * (xx * ray.x + xy * ray.y + xz * ray.z) + ray.y * (yy * ray.y + yz * ray.z) + zz * ray.z * ray.z;
+    let b = x * ray.x + y * ray.y + z * ray.z;
+    b * b - 4.0 * a * c > 0.0
+}
+
 /// The normal equations at one surface, in the frame of the fit.
 pub(crate) struct System<const N: usize> {
     square_sum: f64,

@@ -3,9 +3,10 @@
 use crate::camera::{pinhole, scan};
 use conicflow_geometry::{
     Coefficients, ContourPoint, Pinhole, PlaneMoments, RaySums, Scan, ScanPlane, SpaceMoments, Vector3, bulge,
-    gradient, section_about, section_of,
+    gradient, meets, section_about,
 };
 use conicflow_messages::{END_POINTS, Ellipse, Header};
+use std::array;
 use std::f64::consts::FRAC_PI_8;
 use std::iter;
 use std::mem;
@@ -50,6 +51,8 @@ pub(crate) struct Arc {
     pub center: Vector3,
     /// Angle that the points span about the centre of the circle.
     pub angle: f64,
+    /// Change of a ray, of which the depth is one, from pixel to pixel of the line and from line to line.
+    steps: [Vector3; 2],
     /// Slopes of the rays through the first and the last pixel.
     pub rays: [f64; 2],
     /// Whether nothing was measured beyond the end, on either side.
@@ -93,6 +96,7 @@ impl Arc {
             _ => (sigma * sigma, sigma * sigma),
         };
         let variance = (variance * plane.stretch().powi(2)).max(LEAST_VARIANCE);
+        let steps = steps(&camera, &plane);
         let (pitch, spacing) = (camera.pixel_pitch(scan), camera.line_pitch(scan) * f64::from(step));
         Some(Self {
             scan,
@@ -111,7 +115,8 @@ impl Arc {
             angle: ellipse.arc,
             rays: [ray(first), ray(last)],
             unseen: ellipse.beyond.map(|depth| depth == 0.0),
-            contour: contour(&camera, &plane, &ellipse.contour),
+            contour: contour(&camera, &plane, &steps, &ellipse.contour),
+            steps,
             pitch: mean.z * pitch,
             spacing: mean.z * spacing,
             shared_px: ellipse.shared_px.max(1.0),
@@ -154,22 +159,35 @@ impl Arc {
         (near > 0.0).then_some(near)
     }
 
-    /// Moments of those outermost points whose rays miss the surface `q`: a silhouette that the sensor sees elsewhere than it is
-    /// has given them the depth of an object beside which they lie.
-    pub fn outside(&self, q: &Coefficients) -> impl Iterator<Item = SpaceMoments> {
-        let section = section_of(q, &self.plane);
+    /// Moments of those outermost points of each end whose rays miss the surface `q`, or come so near to that: a silhouette that the
+    /// sensor sees elsewhere than it is has given them the depth of an object beside which they lie, or of its parts farther in.
+    pub fn outside(&self, q: &Coefficients, edge_px: f64) -> impl Iterator<Item = SpaceMoments> {
         let step = self.pitch / self.mean.z;
-        [(0, step), (1, -step)].into_iter().flat_map(move |(end, inwards)| {
-            let slopes = (0..).map(move |n| self.rays[end] + f64::from(n) * inwards);
-            let points = slopes.zip(self.ends[end]).take_while(|(_, depth)| *depth > 0.0);
-            let missing = points.take_while(move |(slope, _)| self.hit(&section, *slope).is_none());
-            missing.map(|(slope, depth)| self.one(slope, depth))
+        [(0, step), (1, -step)].into_iter().filter_map(move |(end, inwards)| {
+            let depths = &self.ends[end];
+            let slopes: [f64; END_POINTS] = array::from_fn(|n| self.rays[end] + n as f64 * inwards);
+            let is_outside = |(slope, depth): &(&f64, &f64)| **depth > 0.0 && self.is_edge(q, edge_px, **slope);
+            let points = slopes.iter().zip(depths).take_while(is_outside).count();
+            (points > 0).then(|| self.part(&slopes[..points], &depths[..points]))
         })
     }
 
-    /// The part of a point in the moments, given the slope of its ray.
-    fn one(&self, slope: f64, depth: f64) -> SpaceMoments {
-        let sums = RaySums::of(iter::once((&[slope][..], &[depth][..], self.corrected)));
+    /// Whether its middle misses the surface `q`, or comes so near to that.
+    pub fn grazes(&self, q: &Coefficients, edge_px: f64) -> bool {
+        self.is_edge(q, edge_px, 0.5 * (self.rays[0] + self.rays[1]))
+    }
+
+    /// Whether the ray of slope `x` misses the surface `q`, or one does that is so many pixels beside it.
+    fn is_edge(&self, q: &Coefficients, edge_px: f64, x: f64) -> bool {
+        let ray = self.plane.to_camera([x, self.plane.stretch()]);
+        let [along, across] = self.steps.map(|step| step * edge_px);
+        let beside = || [along, -along, across, -across].into_iter().any(|step| !meets(q, &(ray + step)));
+        !meets(q, &ray) || (edge_px > 0.0 && beside())
+    }
+
+    /// The part of some points in the moments, given the slopes of their rays.
+    fn part(&self, slopes: &[f64], depths: &[f64]) -> SpaceMoments {
+        let sums = RaySums::of(iter::once((slopes, depths, self.corrected)));
         let moments = sums.moments(self.plane.stretch());
         let weight = self.points / f64::from(self.count.max(1));
         let counted = moments.sums().map(|sum| sum * weight);
@@ -187,18 +205,23 @@ impl Arc {
     }
 }
 
-fn contour(camera: &Pinhole, plane: &ScanPlane, pixels: &[f64; 2]) -> [Option<ContourPoint>; 2] {
-    let scan = plane.scan();
-    let ray = |pixel: f64| plane.to_camera([camera.ray_slope(scan, pixel), plane.stretch()]);
-    let point = |end: usize| ContourPoint {
-        ray: ray(pixels[end]),
-        pixel: ray(1.0) - ray(0.0),
-        side: end,
-        across: match scan {
-            Scan::Row => Vector3::y() / camera.fy,
-            Scan::Column => Vector3::x() / camera.fx,
-        },
-    };
+/// Change of a ray, of which the depth is one, from pixel to pixel of a line and from line to line.
+fn steps(camera: &Pinhole, plane: &ScanPlane) -> [Vector3; 2] {
+    let [along_rows, along_columns] = [Vector3::x() / camera.fx, Vector3::y() / camera.fy];
+    match plane.scan() {
+        Scan::Row => [along_rows, along_columns],
+        Scan::Column => [along_columns, along_rows],
+    }
+}
+
+fn contour(
+    camera: &Pinhole,
+    plane: &ScanPlane,
+    &[pixel, across]: &[Vector3; 2],
+    pixels: &[f64; 2],
+) -> [Option<ContourPoint>; 2] {
+    let ray = |pixel: f64| plane.to_camera([camera.ray_slope(plane.scan(), pixel), plane.stretch()]);
+    let point = |end: usize| ContourPoint { ray: ray(pixels[end]), pixel, across, side: end };
     [0, 1].map(|end| (pixels[end] > 0.0).then(|| point(end)))
 }
 

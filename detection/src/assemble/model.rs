@@ -147,16 +147,22 @@ pub(super) fn pool<'a>(arcs: impl Iterator<Item = &'a Arc>, excess: impl Fn(&Arc
     pool
 }
 
-/// The arcs of a region pooled with the weights that its model gives them, without the points outside its outline.
-pub(super) fn pool_within(region: &Region) -> SpaceMoments {
+/// The arcs of a region pooled with the weights that its model gives them, without the points outside its outline and those that
+/// are so near to it within.
+pub(super) fn pool_within(region: &Region, edge_px: f64) -> SpaceMoments {
     let (model, q) = (&region.model, region.model.coefficients());
-    let mut pool = SpaceMoments::default();
+    let (mut pool, mut left_out) = (SpaceMoments::default(), 0);
     for arc in region.arcs() {
+        if edge_px > 0.0 && arc.grazes(&q, edge_px) {
+            left_out += 1;
+            continue;
+        }
         let weight = 1.0 / (arc.variance * model.excess(arc).unwrap_or(LEAST_EXCESS).powi(2));
         pool.add(arc.space(), weight);
-        arc.outside(&q).for_each(|point| pool.add(&point, -weight));
+        arc.outside(&q, edge_px).for_each(|point| pool.add(&point, -weight));
     }
-    pool
+    // Nothing else tells of what is seen at its edge alone.
+    if 2 * left_out > region.members.len() { pool_within(region, 0.0) } else { pool }
 }
 
 /// Fits a model of a kind; starts from `last` where there is one of that kind, and is given up where the weighted sum of

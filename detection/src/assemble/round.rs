@@ -1,5 +1,6 @@
 //! Whether what is seen is round, or oval: how other quadrics near a fitted shape explain its points and its contour.
 
+use super::contours::edge_px;
 use super::model::{Model, pool_within};
 use super::region::Region;
 use conicflow_geometry::{Contour, QuadricMoments, Sphere, departure};
@@ -24,7 +25,7 @@ pub(super) fn roundness(region: &Region, contour: &Contour) -> f64 {
             log_ratio(departure::<_, 6, 2, 8>(&points, contour, fit, |cone| cone.0.departures())?, shared)
         }
     };
-    pool_within(region).normalized().and_then(log_ratio).unwrap_or(0.0)
+    pool_within(region, edge_px(contour)).normalized().and_then(log_ratio).unwrap_or(0.0)
 }
 
 /// Logarithm of the ratio of the probability densities that a departure has among what is round and among what is not. Its

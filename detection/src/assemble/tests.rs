@@ -2,11 +2,13 @@
 
 use super::arcs::Arcs;
 use super::growth::{Growing, chain};
+use super::model::{self, pool_within};
 use super::odds::Evidence;
+use super::region::Region;
 use super::seeds::{MAX_VAIN, Seeds};
 use super::{Assembler, AssemblerParameters, Rejection, Rejections};
 use crate::extract::{Extractor, ExtractorParameters};
-use conicflow_geometry::{Conical, FixedSlope, PlaneMoments, Scan, Surface, Vector3};
+use conicflow_geometry::{Conical, FixedSlope, PlaneMoments, Scan, SpaceMoments, Surface, Vector3};
 use conicflow_lab::rendered::{KINECT_HALF, block, cylinder, frustum, plane, render, sphere};
 use conicflow_lab::simulator::random_scene::{SceneGroup, random_scene};
 use conicflow_lab::simulator::random_scenes::RandomScenes;
@@ -14,7 +16,7 @@ use conicflow_lab::simulator::scene::Scene;
 use conicflow_lab::simulator::sensor::{SensorConfig, SensorTable};
 use conicflow_lab::simulator::shapes::Shape;
 use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
-use conicflow_messages::{Camera, Ellipse, Header, Item, NoiseModel, Object, ObjectKind};
+use conicflow_messages::{Camera, END_POINTS, Ellipse, Header, Item, NoiseModel, Object, ObjectKind};
 
 fn detect(camera: Camera, noise: NoiseModel, bodies: &[Shape], seed: u64) -> Vec<Object> {
     let (header, pixels) = render(camera, noise, bodies, seed);
@@ -569,12 +571,16 @@ fn with_strays(header: &Header, arc: &Ellipse, are_told: bool) -> Ellipse {
     let Camera { fx, fy, cx, cy, .. } = header.camera;
     let stretch = ((f64::from(arc.line) - cy) / fy).hypot(1.0);
     let (first, last) = (arc.first - 1, arc.last + 1);
-    let depths = arc.ends.map(|[depth, _]| depth);
+    let depths = arc.ends.map(|end| end[0]);
     let mut moments = PlaneMoments::from_sums(arc.origin, arc.moments);
     for (pixel, depth) in [first, last].into_iter().zip(depths) {
         moments.add([(f64::from(pixel) - cx) / fx * depth, stretch * depth]);
     }
-    let ends = if are_told { depths.map(|depth| [depth; 2]) } else { [[0.0; 2]; 2] };
+    let with_stray = |mut end: [f64; END_POINTS]| {
+        end.copy_within(..END_POINTS - 1, 1);
+        end
+    };
+    let ends = if are_told { arc.ends.map(with_stray) } else { [[0.0; END_POINTS]; 2] };
     Ellipse { first, last, points: arc.points + 2, ends, moments: *moments.sums(), ..*arc }
 }
 
@@ -597,7 +603,7 @@ fn what_lies_outside_the_outline_does_not_widen_an_object() {
 }
 
 #[test]
-fn outside_is_each_end_up_to_the_first_ray_that_meets_the_surface() {
+fn outside_is_each_end_up_to_the_first_ray_that_is_farther_within_the_outline() {
     let (header, ellipses) = ellipses_of_a_can();
     let mut arcs = Arcs::default();
     arcs.read(&header, &ellipses);
@@ -605,12 +611,72 @@ fn outside_is_each_end_up_to_the_first_ray_that_meets_the_surface() {
     let can = |x: f64, radius: f64| {
         FixedSlope(Conical { point: Vector3::new(x, 0.0, 2.0), axis: Vector3::y(), radius, slope: 0.0 }).coefficients()
     };
-    let outside = |x: f64, radius: f64| {
-        let points: Vec<Vector3> = arc.outside(&can(x, radius)).map(|point| point.mean()).collect();
-        points.iter().for_each(|point| assert!(point.x.abs() > 0.16 && (1.8..2.1).contains(&point.z), "{point:?}"));
-        [-1.0, 1.0].map(|side| points.iter().filter(|point| point.x * side > 0.0).count())
+    let near = |x: f64, radius: f64, edge_px: f64| {
+        let ends: Vec<_> = arc.outside(&can(x, radius), edge_px).collect();
+        ends.iter()
+            .map(|end| end.mean())
+            .for_each(|at| assert!(at.x.abs() > 0.15 && (1.8..2.1).contains(&at.z), "{at}"));
+        let points = |end: &SpaceMoments| (end.weight() * f64::from(arc.count) / arc.points).round() as usize;
+        [-1.0, 1.0].map(|side| ends.iter().filter(|end| end.mean().x * side > 0.0).map(points).sum::<usize>())
     };
-    // The outermost rays touch a can of 0.189 m, the next ones one of 0.182 m.
-    assert_eq!([outside(0.0, 0.193), outside(0.0, 0.186), outside(0.0, 0.15)], [[0, 0], [1, 1], [2, 2]]);
-    assert_eq!([outside(0.03, 0.2), outside(-0.03, 0.2)], [[2, 0], [0, 2]]);
+    // The outermost rays touch a can of 0.189 m, each farther in one that is smaller by 7 mm.
+    let outside = |x: f64, radius: f64| near(x, radius, 0.0);
+    assert_eq!([outside(0.0, 0.193), outside(0.0, 0.186), outside(0.0, 0.15)], [[0, 0], [1, 1], [6, 6]]);
+    assert_eq!([outside(0.03, 0.2), outside(-0.03, 0.2)], [[3, 0], [0, 3]]);
+    let within = [0.5, 1.0, 2.0, 4.0, 99.0].map(|edge_px| near(0.0, 0.193, edge_px));
+    assert_eq!(within, [[0, 0], [1, 1], [2, 2], [4, 4], [END_POINTS; 2]]);
+}
+
+#[test]
+fn lines_near_the_outline_do_not_count_unless_most_are_such() {
+    let mut arcs = arcs_of(&[sphere(Vector3::z() * 1.5, 0.2), wall(4.0)]);
+    arcs.arcs.retain(|arc| arc.scan == Scan::Row && arc.mean.z < 2.0);
+    let all: Vec<_> = (0..arcs.arcs.len()).collect();
+    let model = model::fit(ObjectKind::Sphere, &arcs.of(&all), None, f64::INFINITY).unwrap();
+    let weight =
+        |members: &[usize], edge_px: f64| pool_within(&Region { arcs: &arcs, model, members }, edge_px).weight();
+    // The outline has a radius of 39.3 pixels, its rows are 81 to 158: three at either end are within three pixels of it.
+    let rest = &all[3..all.len() - 3];
+    assert_eq!((all.len(), weight(&all, 3.0)), (78, weight(rest, 3.0)));
+    assert!(weight(&all, 0.0) > 1.02 * weight(&all, 3.0));
+    assert_eq!(weight(&all[..5], 3.0), weight(&all[..5], 0.0), "nothing else tells of what is seen at its edge alone");
+    assert!(weight(&all[..6], 3.0) < 0.7 * weight(&all[..6], 0.0));
+}
+
+/// What a sensor shows that smears the silhouette of a ball outwards by so many pixels: what it shows from twice as far within
+/// the outline on is drawn out to there. `middle` and `radius_px` are those of its outline.
+fn smeared(camera: Camera, pixels: &[u16], middle: [f64; 2], radius_px: f64, outwards: f64) -> Vec<u16> {
+    let (width, inner) = (camera.width as usize, radius_px - 2.0 * outwards);
+    let shown = |at: usize| {
+        let [x, y] = [(at % width) as f64 - middle[0], (at / width) as f64 - middle[1]];
+        let from_middle = x.hypot(y);
+        let within = (inner..radius_px + outwards).contains(&from_middle);
+        let factor = if within { (inner + 2.0 / 3.0 * (from_middle - inner)) / from_middle } else { 1.0 };
+        let [x, y] = [middle[0] + factor * x, middle[1] + factor * y].map(|place| place.round() as usize);
+        pixels[y * width + x]
+    };
+    (0..pixels.len()).map(shown).collect()
+}
+
+#[test]
+fn what_lies_near_a_smeared_silhouette_does_not_make_a_ball_larger() {
+    let (camera, radius, distance) = (KINECT_HALF, 0.15, 1.2_f64);
+    let outline_px = camera.fx * radius / (distance * distance - radius * radius).sqrt();
+    let error = |outwards: f64| {
+        let mut extractor = Extractor::new(ExtractorParameters::default());
+        let mut assembler = Assembler::new(AssemblerParameters::default());
+        let errors = (0..20).map(|seed| {
+            let ball = sphere(Vector3::z() * distance, radius);
+            let (header, pixels) = render(camera, NoiseModel::KINECT_V1, &[ball, wall(3.0)], seed);
+            let pixels = smeared(camera, &pixels, [camera.cx, camera.cy], outline_px, outwards);
+            let found = assembler.assemble(&header, extractor.extract(&header, &pixels));
+            single(found, ObjectKind::Sphere).radius - radius
+        });
+        errors.skip(10).sum::<f64>() / 10.0
+    };
+    // With all points it would be larger by 3 mm where two pixels are added.
+    for outwards in [0.0, 1.0, 2.0] {
+        let error = error(outwards);
+        assert!(error.abs() < 5e-4, "{error} m, smeared by {outwards} pixels");
+    }
 }

@@ -257,7 +257,8 @@ fn outermost(rays: &Rays, points: &Range<usize>, from_last: bool) -> [f64; END_P
     let end = i64::from(rays.pixel(point(0)));
     let is_next = |inwards: &usize| i64::from(rays.pixel(point(*inwards))).abs_diff(end) == *inwards as u64;
     let mut depths = [0.0; END_POINTS];
-    for inwards in (0..END_POINTS).take_while(is_next) {
+    // No point is told at both ends.
+    for inwards in (0..END_POINTS.min(points.len() / 2)).take_while(is_next) {
         depths[inwards] = rays.points.metres[point(inwards)];
     }
     depths

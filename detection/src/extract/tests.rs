@@ -7,7 +7,8 @@ use conicflow_lab::simulator::scene::Scene;
 use conicflow_lab::simulator::sensor::{SensorConfig, SensorTable};
 use conicflow_lab::simulator::shapes::Shape;
 use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
-use conicflow_messages::{Camera, Item, NoiseModel, Object};
+use conicflow_messages::{Camera, END_POINTS, Item, NoiseModel, Object};
+use std::collections::BTreeSet;
 
 fn config(scan: ScanLines) -> ExtractorParameters {
     ExtractorParameters { scan, ..ExtractorParameters::default() }
@@ -348,7 +349,7 @@ fn the_outermost_points_of_an_arc_are_told_as_far_as_they_are_neighbours() {
     let row = 120 * header.camera.width;
     // Something nearer hides its right half: there its end is not steep.
     pixels.chunks_mut(320).for_each(|row| row[160..].fill((0.4 / header.depth_scale) as u16));
-    let mut alone = 0;
+    let mut lengths = BTreeSet::new();
     for hole in 148..160 {
         let mut pixels = pixels.clone();
         pixels[(row + hole) as usize] = 0;
@@ -356,10 +357,15 @@ fn the_outermost_points_of_an_arc_are_told_as_far_as_they_are_neighbours() {
         let mut arcs = arcs(config(ScanLines::Rows), &(header, pixels.clone()));
         arcs.retain(|arc| arc.line == 120 && arc.first < 160);
         let [Ellipse { first, last, ends, .. }] = arcs[..] else { panic!("{arcs:?}") };
-        assert_eq!(ends, [[first, first + 1], [last, last - 1]].map(|end| end.map(depth)));
-        alone += u32::from(ends[1][1] == 0.0);
+        let inwards: [u32; END_POINTS] = std::array::from_fn(|n| n as u32);
+        for (end, shown) in ends.iter().zip([inwards.map(|n| depth(first + n)), inwards.map(|n| depth(last - n))]) {
+            let next = shown.iter().take_while(|depth| **depth > 0.0).count();
+            assert_eq!(end[..next], shown[..next], "hole {hole}");
+            assert_eq!(end[next..], [0.0; END_POINTS][next..], "hole {hole}");
+        }
+        lengths.insert(ends[1].iter().filter(|depth| **depth > 0.0).count());
     }
-    assert_eq!(alone, 1);
+    assert_eq!(lengths, (1..=END_POINTS).collect());
 }
 
 /// What is noisy by so much, from pixel to pixel: a can before a wall, of this width in pixels.
