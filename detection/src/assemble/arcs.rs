@@ -159,8 +159,9 @@ impl Arc {
         (near > 0.0).then_some(near)
     }
 
-    /// Moments of those outermost points of each end whose rays miss the surface `q`, or come so near to that: a silhouette that the
-    /// sensor sees elsewhere than it is has given them the depth of an object beside which they lie, or of its parts farther in.
+    /// Moments of those outermost points of each end that lie outside the outline of the surface `q`, or within `edge_px` pixels
+    /// of it: a silhouette that the sensor sees elsewhere than it is has given them the depth of an object beside which they lie,
+    /// or of its parts farther in.
     pub fn outside(&self, q: &Coefficients, edge_px: f64) -> impl Iterator<Item = SpaceMoments> {
         let step = self.pitch / self.mean.z;
         [(0, step), (1, -step)].into_iter().filter_map(move |(end, inwards)| {
@@ -172,12 +173,13 @@ impl Arc {
         })
     }
 
-    /// Whether its middle misses the surface `q`, or comes so near to that.
+    /// Whether its middle lies outside the outline of the surface `q`, or within `edge_px` pixels of it.
     pub fn grazes(&self, q: &Coefficients, edge_px: f64) -> bool {
         self.is_edge(q, edge_px, 0.5 * (self.rays[0] + self.rays[1]))
     }
 
-    /// Whether the ray of slope `x` misses the surface `q`, or one does that is so many pixels beside it.
+    /// Whether the ray of slope `x` misses the surface `q`, or one does that is `edge_px` pixels beside it, along the line or
+    /// across.
     fn is_edge(&self, q: &Coefficients, edge_px: f64, x: f64) -> bool {
         let ray = self.plane.to_camera([x, self.plane.stretch()]);
         let [along, across] = self.steps.map(|step| step * edge_px);

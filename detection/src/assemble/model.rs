@@ -147,8 +147,8 @@ pub(super) fn pool<'a>(arcs: impl Iterator<Item = &'a Arc>, excess: impl Fn(&Arc
     pool
 }
 
-/// The arcs of a region pooled with the weights that its model gives them, without the points outside its outline and those that
-/// are so near to it within.
+/// The arcs of a region pooled with the weights that its model gives them, without the points outside its outline, or within
+/// `edge_px` pixels of it.
 pub(super) fn pool_within(region: &Region, edge_px: f64) -> SpaceMoments {
     let (model, q) = (&region.model, region.model.coefficients());
     let (mut pool, mut left_out) = (SpaceMoments::default(), 0);
