@@ -368,6 +368,16 @@ fn the_outermost_points_of_an_arc_are_told_as_far_as_they_are_neighbours() {
     assert_eq!(lengths, (1..=END_POINTS).collect());
 }
 
+#[test]
+fn no_point_of_a_short_arc_is_told_at_both_ends() {
+    let frame = render(KINECT_HALF, NoiseModel::IDEAL, &[can(0.0, 1.4, 0.025), wall(3.0)], 1);
+    let arcs = arcs(config(ScanLines::Rows), &frame);
+    let told = |arc: &Ellipse| arc.ends.map(|end| end.iter().filter(|depth| **depth > 0.0).count());
+    let short: Vec<_> = arcs.iter().filter(|arc| arc.points < 2 * END_POINTS as u32).collect();
+    assert!(short.len() > 20, "{arcs:?}");
+    assert!(short.iter().all(|arc| told(arc) == [arc.points as usize / 2; 2]), "{short:?}");
+}
+
 /// What is noisy by so much, from pixel to pixel: a can before a wall, of this width in pixels.
 fn noisy_can(sigma_m: f64, width: u32) -> (Header, Vec<u16>) {
     let noise = NoiseModel { floor_m: sigma_m, ..NoiseModel::IDEAL };
