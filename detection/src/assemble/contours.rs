@@ -41,9 +41,9 @@ pub(super) const SYSTEMATIC_PX: f64 = 0.02; // [measured]
 /// silhouettes.
 pub(super) const FLATTENED_PX: f64 = 0.06; // [measured]
 
-/// What smears a silhouette outwards flattens what lies within it, so many times as far. Without that, with 1, 2 and 3, 489, 496,
-/// 503 and 503 of 520 things are found in recordings (`experiments/README.md`, "The recorded ball").
-const SMEARED: f64 = 2.0; // [measured]
+/// A sensor that shows contours too far out flattens surfaces within the outline, so many times as far. Without that, and with 1, 2
+/// and 3, 489, 496, 503 and 503 of 520 things are found in recordings (`experiments/README.md`, "The recorded ball").
+const EDGE_WIDTH: f64 = 2.0; // [measured]
 
 /// The contour of one object after another, each fitted with what the earlier ones showed of the bias of contours.
 #[derive(Debug, Default)]
@@ -256,9 +256,9 @@ fn own_px(window: f64) -> f64 {
     SYSTEMATIC_PX + FLATTENED_PX * window
 }
 
-/// How many pixels inwards from the outline of an object its points are spoilt, as far as its contour is expected to lie outside.
+/// Within how many pixels of its outline the points of an object are flattened: none where its contour is not expected outside.
 pub(super) fn edge_px(contour: &Contour) -> f64 {
-    SMEARED * contour.outside_px()
+    EDGE_WIDTH * contour.outside_px()
 }
 
 /// How many further pixels share the noise of one.
