@@ -63,10 +63,15 @@ pub struct Side {
 
 impl Side {
     pub fn new(name: &'static str, edge: Edge, folder: &Path, key: Option<&LinkKey>) -> Self {
+        Self::of_run(name, edge, folder, key, None)
+    }
+
+    /// The same with a folder in which its bridge notes what the next one has to know.
+    fn of_run(name: &'static str, edge: Edge, folder: &Path, key: Option<&LinkKey>, run_folder: Option<&Path>) -> Self {
         let (session, stop) = (if name == "robot" { 5 } else { 9 }, Stop::default());
         let [outgoing, incoming] = ["robot", "base"].map(|of| if of == name { vec![edge.clone()] } else { vec![] });
         let plan = BridgePlan { machine: name.to_owned(), outgoing, incoming, ..BridgePlan::default() };
-        let links = Arc::new(Links::new(Journal::open(None, 7, session), Seal::new(key, session), &plan));
+        let links = Arc::new(Links::new(Journal::open(run_folder, 7, session), Seal::new(key, session), &plan));
         let memory = SharedMemory::open(folder, "test", BRIDGE, stop.clone()).unwrap();
         Self { name, edge, links, memory, counts: Arc::default(), stop }
     }
@@ -299,6 +304,43 @@ fn a_message_that_was_not_the_next_of_its_writer_is_left_out_and_told_when_the_t
         base.stop.request();
         assert!(!receiving.carry().unwrap(), "its writer goes on");
     });
+}
+
+/// The first bridge is killed when it has acknowledged the end, before it has told a reader; nothing is heard of the other machine
+/// again. One message is missing, of which the end tells.
+#[test]
+fn a_bridge_that_takes_the_place_of_one_which_acknowledged_the_end_tells_it_with_its_count_and_notes_it_for_who_comes_later()
+ {
+    for (delivery, outage) in [(Delivery::Latest, OUTAGE), (Delivery::Lossless, Duration::from_millis(300))] {
+        let folders = [0, 1, 2].map(|_| tempfile::tempdir().unwrap());
+        let [of_robot, of_base, of_run] = folders.each_ref().map(|folder| folder.path());
+        let robot = Side::new("robot", edge(delivery, BRIDGE), of_robot, None);
+        let base = || Side::of_run("base", edge(delivery, "reader"), of_base, None, Some(of_run));
+        let peers = Peers::in_folder(of_run.to_owned(), 7, ["reader".to_owned()].into());
+        let [_, sessions] = joined(|address| address);
+        let shared = |side| Shared { outage, ..Side::shared(side, &sessions, &peers) };
+        let first = base();
+        (0..2).for_each(|_| tell_each_other(&robot, &first));
+        let mut receiving = Receiving::new(&first.edge, &shared(&first), Arc::clone(&first.counts)).unwrap();
+        let end = end_of_stream(&header("writer", 3), Text::new("writer"), 3);
+        wait_until("the end is acknowledged", || {
+            receiving.accept(&on_the_wire(&end, 0, 0)).unwrap();
+            first.links.news().acks.iter().any(|ack| ack.ended == ["writer"])
+        });
+        drop(receiving);
+        assert!(!peers.is_over("writer"), "its end was told to nobody");
+        let next = base();
+        let mut receiving = Receiving::new(&next.edge, &shared(&next), Arc::clone(&next.counts)).unwrap();
+        let reader = memory(of_base, "reader").reader::<Object>(&next.edge.topic, "reader").unwrap();
+        let came = thread::scope(|scope| {
+            let _ending = Ending([next.stop.clone()]);
+            let carries = scope.spawn(move || receiving.carry());
+            let came = read(reader);
+            carries.join().unwrap().unwrap();
+            came
+        });
+        assert_eq!((came, peers.is_over("writer")), ((vec![], 3), true), "{delivery:?}");
+    }
 }
 
 #[test]

@@ -46,6 +46,10 @@ pub(super) struct Receiving<'a> {
     codec: Box<dyn Codec>,
     layout: String,
     ended: BTreeSet<String>,
+    /// Whether all writers have ended, as a bridge before this one has acknowledged.
+    is_end_known: bool,
+    /// For how long a machine may be away before what it was to send again is given up.
+    outage: Duration,
     links: Arc<Links>,
     counts: Arc<EdgeCounts>,
     peers: Peers,
@@ -78,19 +82,25 @@ impl<'a> Receiving<'a> {
                 sender.send(bytes.into_owned());
             }
         })?;
+        let known = shared.links.ends(&edge.from, &topic.name);
         let port = Some((shared.transport.writer_of(&edge.item, &topic)?, topic));
+        let mut output_port = OutputPort::new(port, BRIDGE, 0, shared.peers.clone(), shared.stop.clone());
+        known.iter().for_each(|(writer, count)| output_port.note_count(Text::new(writer), *count));
         Ok(Self {
             edge,
             lossless,
             channel,
             subscriber,
-            output_port: OutputPort::new(port, BRIDGE, 0, shared.peers.clone(), shared.stop.clone()),
+            output_port,
             sequence: Sequence::new(lossless, shared.links.seal().has_key()),
             follow: BTreeMap::new(),
             passed_on: PassedOn::default(),
             codec: codec_of(&edge.item),
             layout: edge.item.layout(),
-            ended: BTreeSet::new(),
+            is_end_known: known.len() == edge.writers.len(),
+            // Where none may be missed, what comes before the end may not have been passed on.
+            ended: if lossless { BTreeSet::new() } else { known.into_keys().collect() },
+            outage: shared.outage,
             links: Arc::clone(shared.links),
             counts,
             peers: shared.peers.clone(),
@@ -113,10 +123,16 @@ impl<'a> Receiving<'a> {
     /// Carries messages until all writers have ended, or all readers, or the run does; whether nothing more is wanted of the other
     /// machine.
     pub(super) fn carry(&mut self) -> Result<bool, BridgeError> {
-        let mut wanted = Instant::now();
-        while !self.stop.requested() && self.ended.len() < self.edge.writers.len() && wanted.elapsed() < END_PATIENCE {
-            if wanted.elapsed() > TICK && !self.nobody_reads() {
-                wanted = Instant::now();
+        let (began, mut looked, mut unread) = (Instant::now(), Instant::now(), Unread::default());
+        while !self.stop.requested() && self.ended.len() < self.edge.writers.len() {
+            if looked.elapsed() > TICK {
+                looked = Instant::now();
+                if unread.is_for_good(self.nobody_reads(), looked) {
+                    break;
+                }
+                if self.is_rest_lost(began) {
+                    self.ended.extend(self.edge.writers.iter().cloned());
+                }
             }
             self.choose_way()?;
             let Some(bytes) = self.channel.receive(TICK) else {
@@ -131,6 +147,11 @@ impl<'a> Receiving<'a> {
         }
         let writers: Vec<_> = self.edge.writers.iter().map(|writer| Text::new(writer)).collect();
         self.output_port.end_as(&writers)?;
+        for writer in &self.ended {
+            if let Err(error) = self.peers.note_end(writer) {
+                tracing::warn!("who reads stage `{writer}` from now on will not know that it has ended: {error}");
+            }
+        }
         self.acknowledge();
         Ok(self.ended.len() == self.edge.writers.len() || self.nobody_reads())
     }
@@ -140,6 +161,12 @@ impl<'a> Receiving<'a> {
     fn nobody_reads(&self) -> bool {
         let has_ended = |stage: &str| self.peers.life(stage) == Some(Life::Ended);
         self.edge.topic.readers.iter().all(|reader| has_ended(&reader.stage))
+    }
+
+    /// Whether nothing is left to wait for, since this process began: the end was acknowledged, and whoever was to send again what
+    /// came before it is gone.
+    fn is_rest_lost(&self, began: Instant) -> bool {
+        self.is_end_known && self.links.silence(&self.edge.from, began) > self.outage
     }
 
     /// Tells the other machine that nothing more is wanted of it. Where none may be missed it stays until that knows: the
@@ -210,6 +237,7 @@ impl<'a> Receiving<'a> {
         }
         if header.ends_stream() && self.sequence.is_end_to_hear(place, verdict) {
             self.output_port.note_count(Text::new(&writer), header.number);
+            self.links.note_end(&self.edge.from, &self.edge.topic.name, &writer, header.number);
             self.ended.insert(writer);
         }
         self.acknowledge();
@@ -276,6 +304,18 @@ impl<'a> Receiving<'a> {
             self.refusals.warn_of_forgery("left out", "what followed contradicts it");
         }
         verdict
+    }
+}
+
+/// Since when no reader of an edge was at work, one look after another.
+#[derive(Debug, Default)]
+struct Unread(Option<Instant>);
+
+impl Unread {
+    /// Whether nobody reads any more, and nobody has for so long that a reader which was killed would be back.
+    fn is_for_good(&mut self, nobody_reads: bool, now: Instant) -> bool {
+        self.0 = nobody_reads.then(|| self.0.unwrap_or(now));
+        self.0.is_some_and(|since| now.saturating_duration_since(since) > END_PATIENCE)
     }
 }
 
@@ -393,6 +433,27 @@ mod tests {
         assert_eq!(own_times(None, [[10, 20], [30, 40]]), ([[970, 980], [990, 1000]], 0));
         let mut never_sent = Header::default();
         assert_eq!(to_own_clock(&mut never_sent, None, 1000), Duration::ZERO);
+    }
+
+    #[test]
+    fn nobody_reads_for_good_when_no_reader_was_at_work_for_a_while_however_long_it_took_to_look_again() {
+        let start = Instant::now();
+        let looks = |looks: &[(u64, bool)]| {
+            let mut unread = Unread::default();
+            let look =
+                |&(after_s, nobody_reads)| unread.is_for_good(nobody_reads, start + Duration::from_secs(after_s));
+            looks.iter().map(look).collect::<Vec<_>>()
+        };
+        assert_eq!(
+            looks(&[(0, false), (60, false), (61, true)]),
+            [false; 3],
+            "a reader held the bridge up for a minute"
+        );
+        assert_eq!(looks(&[(0, true), (5, true), (6, true)]), [false, false, true]);
+        assert_eq!(
+            looks(&[(0, true), (4, false), (5, true), (10, true), (11, true)]),
+            [false, false, false, false, true]
+        );
     }
 
     fn sealed(seal: &Seal, zenoh_key: &str) -> Vec<u8> {

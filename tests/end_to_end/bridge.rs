@@ -336,6 +336,44 @@ fn a_bridge_that_is_killed_at_the_end_of_a_run_loses_nothing_and_keeps_nobody_wa
     }
 }
 
+/// A stage is held up for longer than a bridge waits for readers that have ended.
+#[test]
+fn a_reader_that_stands_still_for_long_misses_nothing() {
+    const FRAMES: u64 = 300;
+    let endpoint = loopback();
+    let text = apart(&endpoint, &endpoint).replace("rate_hz    = 0", &format!("rate_hz = 100\nframes = {FRAMES}"));
+    let machines = machines(&text);
+    let mut runs = [start(&machines[0], "robot"), start(&machines[1], "base")];
+    wait_for_frames(&mut runs[1], &machines[1], 20);
+    let assembler = process_of(&machines[1], "assembler").unwrap();
+    signal(assembler, Signal::STOP);
+    std::thread::sleep(Duration::from_secs(7));
+    signal(assembler, Signal::CONT);
+    let ended = runs.map(|run| run.wait().expect_code(0));
+    let sequences = machines[1].sequences("tracks.jsonl");
+    assert!(sequences.iter().copied().eq(0..FRAMES), "{sequences:?}: {}", ended[1].stderr);
+}
+
+/// The end was acknowledged, so that the other machine has left: whoever is started anew hears of it all the same.
+#[test]
+fn a_run_ends_although_a_reader_and_the_bridge_that_heard_the_end_are_killed() {
+    let endpoint = loopback();
+    let text = apart(&endpoint, &endpoint).replace("rate_hz    = 0", "rate_hz = 0\nframes = 50");
+    let text = text.replace("topic = \"ellipses\", delivery = \"lossless\"", "topic = \"ellipses\"");
+    let [robot, base] = machines(&text);
+    let mut base_run = start(&base, "base");
+    base_run.wait_until("all are at work", || {
+        ["bridge", "assembler", "tracker"].iter().all(|stage| process_of(&base, stage).is_some())
+    });
+    // It keeps the assembler from ending, and that the bridge.
+    let tracker = process_of(&base, "tracker").unwrap();
+    signal(tracker, Signal::STOP);
+    start(&robot, "robot").wait().expect_code(0);
+    ["assembler", "bridge"].iter().for_each(|stage| kill(&base, stage));
+    signal(tracker, Signal::CONT);
+    base_run.wait().expect_code(0);
+}
+
 #[test]
 fn a_python_program_reads_objects_by_their_key() {
     let Some(python) = python_with("zenoh", "has no eclipse-zenoh; nothing was shown") else { return };

@@ -1,7 +1,7 @@
 //! What a bridge tells the process that takes its place, should it be killed: a file in the run's folder.
 
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 
@@ -17,6 +17,16 @@ pub(crate) struct FinishedEdge {
     pub run: u64,
 }
 
+/// The end of a writer's stream, as it was acknowledged: the machine that sends it may have left since.
+#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+struct HeardEnd {
+    from: String,
+    topic: String,
+    writer: String,
+    /// How many messages the writer sent.
+    count: u64,
+}
+
 /// What is known of this run.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 struct Entries {
@@ -25,6 +35,7 @@ struct Entries {
     heard: BTreeSet<String>,
     /// With the run of the receiving machine that wants nothing more of it; the next one may.
     finished: BTreeSet<(FinishedEdge, u64)>,
+    ends: BTreeSet<HeardEnd>,
 }
 
 /// The journal of a bridge.
@@ -85,6 +96,19 @@ impl Journal {
         }
     }
 
+    /// Which writers of an edge to here have ended, each with how many messages it sent.
+    pub(crate) fn ends(&self, from: &str, topic: &str) -> BTreeMap<String, u64> {
+        let of_edge = self.entries.ends.iter().filter(|end| end.from == from && end.topic == topic);
+        of_edge.map(|end| (end.writer.clone(), end.count)).collect()
+    }
+
+    pub(crate) fn note_end(&mut self, from: &str, topic: &str, writer: &str, count: u64) {
+        let [from, topic, writer] = [from, topic, writer].map(str::to_owned);
+        if self.entries.ends.insert(HeardEnd { from, topic, writer, count }) {
+            self.write();
+        }
+    }
+
     /// Without the file this process goes on as well; only the next one would not know.
     fn write(&mut self) {
         let Some(path) = &self.path else { return };
@@ -112,12 +136,26 @@ mod tests {
         let mut first = Journal::open(Some(folder.path()), 7, 1000);
         first.note_heard("base");
         first.note_finished(edge("objects"), 3);
+        for (from, topic, writer, count) in [
+            ("robot", "objects", "left", 8),
+            ("robot", "objects", "right", 9),
+            ("robot", "depth", "left", 7),
+            ("desk", "objects", "left", 6),
+        ] {
+            first.note_end(from, topic, writer, count);
+        }
         let next = Journal::open(Some(folder.path()), 7, 10);
         assert_eq!((first.session(), next.session()), (1000, 1001), "the clock was set back");
         assert!(next.has_heard("base") && !next.has_heard("robot"));
         assert!(next.finished().eq([(&edge("objects"), 3)]));
+        assert_eq!(
+            next.ends("robot", "objects"),
+            [("left", 8), ("right", 9)].map(|(writer, count)| (writer.to_owned(), count)).into()
+        );
+        assert_eq!(next.ends("base", "objects"), BTreeMap::new());
         let other_run = Journal::open(Some(folder.path()), 8, 2000);
         assert!(!other_run.has_heard("base") && other_run.finished().next().is_none());
+        assert!(other_run.ends("robot", "objects").is_empty());
     }
 
     #[test]

@@ -291,6 +291,17 @@ impl Links {
         (edge.is_some(), edge.is_some_and(is_known))
     }
 
+    /// Notes that a writer of an edge to here has ended after so many messages. It is done before that is acknowledged: the other
+    /// machine may leave then, and nobody else would tell a bridge that is started anew.
+    pub(crate) fn note_end(&self, from: &str, topic: &str, writer: &str, count: u64) {
+        lock(&self.journal).note_end(from, topic, writer, count);
+    }
+
+    /// Which writers of an edge to here have ended, as this process or an earlier one has noted, each with how many messages it sent.
+    pub(crate) fn ends(&self, from: &str, topic: &str) -> BTreeMap<String, u64> {
+        lock(&self.journal).ends(from, topic)
+    }
+
     /// Whether somebody has come, who is told so by the next heartbeat; since this was asked last.
     pub(crate) fn owes_answer(&self) -> bool {
         self.owes_answer.swap(false, Ordering::Relaxed)

@@ -3,6 +3,7 @@
 use crate::pause::{PAUSE_FILE, PauseFile};
 use crate::plan::{LAYOUT, Plan};
 use crate::ports::shared_memory::acknowledgements::ENDING as ACKNOWLEDGEMENTS;
+use crate::runner::peers::END;
 use crate::status::{Life, Status, StatusFile, status_path};
 use serde::Deserialize;
 use std::fs::{self, File, TryLockError};
@@ -298,7 +299,7 @@ impl RunFolder {
         let fault = FolderError::at(&self.path);
         for entry in fs::read_dir(&self.path).map_err(&fault)?.flatten() {
             let ends =
-                ["status", ACKNOWLEDGEMENTS, "first", "last", "request", "answer", "new", "kept", "plan", "pause"];
+                ["status", END, ACKNOWLEDGEMENTS, "first", "last", "request", "answer", "new", "kept", "plan", "pause"];
             if entry.path().extension().is_some_and(|extension| ends.iter().any(|end| extension == *end)) {
                 fs::remove_file(entry.path()).map_err(&fault)?;
             }

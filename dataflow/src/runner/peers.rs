@@ -3,8 +3,12 @@
 use crate::pipeline::BRIDGE;
 use crate::status::{Life, NO_RUN, Status, status_path};
 use std::collections::BTreeSet;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::{fs, io};
+
+/// The end of the name of a file that says that the stream of a stage of another machine has ended.
+pub(crate) const END: &str = "end";
 
 /// The other stages of a run, by the records in its folder.
 #[derive(Clone, Debug, Default)]
@@ -34,10 +38,22 @@ impl Peers {
         Self { modelled: Some(life), ..Self::default() }
     }
 
-    /// Whether nothing more comes of a stage: it has ended, or is gone for good; of one of another machine the bridge to there.
+    /// Whether nothing more comes of a stage: it has ended, or is gone for good; of one of another machine its stream has
+    /// ([`Peers::note_end`]), or the bridge to there.
     pub fn is_over(&self, stage: &str) -> bool {
-        let is_elsewhere = self.run.is_some() && !self.here.contains(stage);
-        self.life(if is_elsewhere { BRIDGE } else { stage }).is_some_and(Life::is_over)
+        let elsewhere = self.run.as_ref().filter(|_| !self.here.contains(stage));
+        let Some((folder, run)) = elsewhere else { return self.life(stage).is_some_and(Life::is_over) };
+        let noted = fs::read_to_string(end_path(folder, stage)).ok();
+        noted.is_some_and(|of_run| of_run == run.to_string()) || self.life(BRIDGE).is_some_and(Life::is_over)
+    }
+
+    /// Notes that the stream of a stage of another machine has ended, for readers that come when nobody is left to tell them.
+    ///
+    /// # Errors
+    /// The run's folder cannot be written.
+    pub fn note_end(&self, stage: &str) -> io::Result<()> {
+        let Some((folder, run)) = &self.run else { return Ok(()) };
+        fs::write(end_path(folder, stage), run.to_string())
     }
 
     /// Where a stage of this machine is in its life; `None` if nothing is known of it.
@@ -50,6 +66,11 @@ impl Peers {
         let status = Status::read(&status_path(folder, stage))?;
         (status.run == *run).then(|| status.life())
     }
+}
+
+/// The file that says that the stream of a stage of another machine has ended, and in which run.
+fn end_path(folder: &Path, stage: &str) -> PathBuf {
+    folder.join(format!("{stage}.{END}"))
 }
 
 #[cfg(test)]
@@ -74,5 +95,17 @@ mod tests {
         set_life(BRIDGE, Life::Ended);
         assert_eq!(over(), [true, false, true], "the one that has not begun is of this machine");
         assert!(!Peers::default().is_over("camera"), "nothing is known");
+    }
+
+    #[test]
+    fn of_a_stage_of_another_machine_nothing_more_comes_when_its_stream_has_ended_in_this_run() {
+        let folder = tempfile::tempdir().unwrap();
+        let of_run = |run| Peers::in_folder(folder.path().to_owned(), run, ["sink".to_owned()].into());
+        let over = |run| ["camera", "lidar", "sink"].map(|stage| of_run(run).is_over(stage));
+        assert_eq!(over(7), [false; 3]);
+        of_run(7).note_end("camera").unwrap();
+        assert_eq!([over(7), over(70)], [[true, false, false], [false; 3]]);
+        let nowhere = Peers::in_folder("/nowhere".into(), 7, BTreeSet::new());
+        assert!(nowhere.note_end("camera").is_err() && Peers::default().note_end("camera").is_ok());
     }
 }

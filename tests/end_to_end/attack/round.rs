@@ -93,9 +93,11 @@ impl Round {
         let victim = TRACKING_STAGES.get(stage).map_or(Victim { machine, stage: "bridge" }, |stage| self.victim(stage));
         let dies = random.bool();
         let milliseconds = random.u64(0..1500);
+        // Some stand still for longer than anybody waits for who does not answer.
+        let still = if random.u8(0..6) == 0 { 5000 + 2 * milliseconds } else { milliseconds };
         match random.u8(0..24) {
             0..6 => Blow::Kill(victim),
-            6..10 => Blow::Stop(victim, milliseconds, if dies { Signal::KILL } else { Signal::CONT }),
+            6..10 => Blow::Stop(victim, still, if dies { Signal::KILL } else { Signal::CONT }),
             10..14 => Blow::Swap(self.victim(TRACKING_STAGES[random.usize(1..5)])),
             14..17 => Blow::LookOn(["depth", "ellipses", "objects", "tracks"][random.usize(..4)], milliseconds / 2),
             17 => Blow::KillLauncher(machine),
