@@ -117,8 +117,8 @@ impl RetransmitQueue {
 
     /// The messages that lie in its log.
     #[cfg(test)]
-    pub(super) fn kept(&self) -> Vec<Vec<u8>> {
-        self.log.since(0).cloned().collect()
+    pub(super) fn kept(&self) -> impl Iterator<Item = &Vec<u8>> {
+        self.log.since(0)
     }
 
     /// The machines that receive this.
