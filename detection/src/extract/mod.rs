@@ -86,8 +86,7 @@ impl Extractor {
 
     /// How noisy an image is.
     pub(crate) fn estimate_noise(&mut self, header: &Header, image: &[u16]) -> NoiseEstimate {
-        self.view.turn(header, Scan::Row, &NoiseEstimate::nominal(header.noise));
-        let noise = noise_level::estimate(&self.view, image, &mut self.search, &mut self.samples);
+        let noise = noise_level::estimate(&mut self.view, (header, image), &mut self.search, &mut self.samples);
         self.view.turn(header, Scan::Row, &noise);
         let correlation_px = noise_planes::correlation_px(&self.view, image, &mut self.squares);
         let noise = NoiseEstimate { correlation_px, ..noise };

@@ -6,7 +6,8 @@
 //!
 //! Pixels that lie close together show the noise that they do not have in common, whatever the surface ([`scatter`]); that
 //! is all, unless a driver smooths. If there is less of it than the model says, the errors of lines and circles tell the
-//! whole ([`share`]): they are free of noise if the model is right, and below zero by its excess.
+//! whole ([`share`]): they are free of noise if the model is right, and below zero by its excess. A curve takes in what noise of
+//! that level explains, and of much else where the level is far too high: so curves are looked at again by what they show.
 
 use super::noise_estimate::NoiseEstimate;
 use super::rays::Rays;
@@ -14,7 +15,8 @@ use super::run::Run;
 use super::search::LineSearch;
 use super::segments::{Segment, next_segment};
 use super::view::View;
-use conicflow_messages::{NoiseModel, is_measured};
+use conicflow_geometry::Scan;
+use conicflow_messages::{Header, NoiseModel, is_measured};
 
 /// Approximate number of lines that are sampled.
 const LINES: u32 = 12; // [algorithmic]
@@ -30,7 +32,7 @@ const FEWEST: usize = 64; // [algorithmic]
 const WITHIN: f64 = 2.5; // [sigmas]
 /// Mean square of a standard normal deviate that is truncated at [`WITHIN`].
 const SQUARE_WITHIN: f64 = 0.911_26; // [derived]
-/// The iteration ends when the noise level grows by less than this factor.
+/// An iteration ends when the noise level changes by less than this factor.
 const SETTLED: f64 = 1.01; // [algorithmic]
 /// If neighbours scatter by more than this part of the model's variance, they share no noise.
 const UNSMOOTHED: f64 = 0.85; // [tuned]
@@ -46,7 +48,7 @@ const DISTANT: f64 = 1.15; // [algorithmic]
 const SURE: f64 = 3.5; // [sigmas]
 /// One sample in so many is nearer than what is near, and farther than what is far.
 const OUTER: usize = 20; // [algorithmic]
-/// Number of times that a noise model is put through both halves; each comes closer to how the noise grows.
+/// Most times that a noise model is put through both halves, and that curves are looked at: each comes closer to the noise.
 const ROUNDS: usize = 4; // [algorithmic]
 
 /// What some pixels tell: their depth in metres, and a square in variances of the model.
@@ -85,14 +87,15 @@ struct Half {
     scatter: f64,
 }
 
-/// The noise of an image, of which `view` takes the model as it is.
+/// The noise of an image with this header; `view` is turned to its rows.
 pub(super) fn estimate(
-    view: &View,
-    image: &[u16],
+    view: &mut View,
+    (header, image): (&Header, &[u16]),
     search: &mut LineSearch,
     samples: &mut NoiseSamples,
 ) -> NoiseEstimate {
     let NoiseSamples { of_neighbors, of_curves } = samples;
+    view.turn(header, Scan::Row, &NoiseEstimate::nominal(header.noise));
     look_at_neighbors(view, image, of_neighbors);
     if of_neighbors.len() < FEWEST {
         return NoiseEstimate::nominal(view.noise);
@@ -106,8 +109,18 @@ pub(super) fn estimate(
     if scatter > UNSMOOTHED {
         return NoiseEstimate::of_level(view.noise, scatter.max(1.0));
     }
-    look_at_curves(view, image, search, of_curves);
-    NoiseEstimate::of_level(view.noise, share(of_curves, |_| true))
+    let mut noise = NoiseEstimate::nominal(header.noise);
+    for _ in 0..ROUNDS {
+        look_at_curves(view, image, search, of_curves);
+        let level = (noise.level * share(of_curves, |_| true)).max(scatter);
+        let is_settled = noise.level <= level * SETTLED;
+        noise = NoiseEstimate::of_level(header.noise, level);
+        if is_settled {
+            break;
+        }
+        view.turn(header, Scan::Row, &noise);
+    }
+    noise
 }
 
 /// The noise of an image whose halves differ: a model is put through both, until they no longer do by it.
@@ -280,9 +293,8 @@ fn add_curves(run: &Run, samples: &mut Vec<NoiseSample>) {
 mod tests {
     use super::super::parameters::ExtractorParameters;
     use super::*;
-    use conicflow_geometry::Scan;
     use conicflow_lab::random::CounterRng;
-    use conicflow_messages::{Camera, Header};
+    use conicflow_messages::Camera;
 
     /// Samples at these depths, of noise that has so many times the variance of the model.
     fn samples(count: u64, depth: impl Fn(u64) -> f64, variance: f64) -> Vec<NoiseSample> {
@@ -405,6 +417,29 @@ mod tests {
         assert_eq!(of(&[0.9, 0.2, 0.4, 0.3, 0.6], 9.0), 0.4);
         assert_eq!(of(&[0.9, 0.2, 0.4, 0.3, 0.6], 0.5), 0.3, "of those nearer");
         assert_eq!([of(&[-1.0; 3], 9.0), of(&[2.0; 3], 9.0), of(&[0.5], 0.0)], [0.0, 1.0, 1.0]);
+    }
+
+    /// Each row steps once, by up to 20 mm: noise of eight times the true one hides these steps.
+    #[test]
+    fn a_model_that_is_far_too_noisy_does_not_take_the_steps_between_surfaces_for_noise() {
+        let camera = Camera { width: 320, height: 120, fx: 500.0, fy: 500.0, cx: 159.5, cy: 59.5 };
+        let (sigma, random) = (0.0005, CounterRng::new(5, 0));
+        let depth = |pixel: u64| {
+            let [row, column] = [pixel / 320, pixel % 320];
+            let step = if column < 160 { 0.0 } else { 0.020 * row as f64 / 120.0 };
+            1.0 + step + sigma * random.gaussian(pixel)
+        };
+        let image: Vec<u16> = (0..320 * 120).map(|pixel| (depth(pixel) / 1e-4) as u16).collect();
+        let level = |told: f64| {
+            let noise = NoiseModel { floor_m: told * sigma, ..NoiseModel::IDEAL };
+            let header = Header { camera, noise, depth_scale: 1e-4, ..Header::default() };
+            let mut view = View::with(ExtractorParameters::default());
+            let (search, samples) = (&mut LineSearch::default(), &mut NoiseSamples::default());
+            estimate(&mut view, (&header, &image), search, samples).level * told * told
+        };
+        let levels = [1.5, 4.0, 8.0].map(level);
+        let [slightly, surely, far] = levels;
+        assert!((0.9..1.2).contains(&slightly) && (0.9..1.6).contains(&surely) && far < 6.0, "{levels:?}");
     }
 
     #[test]

@@ -93,8 +93,8 @@ impl Round {
         let victim = TRACKING_STAGES.get(stage).map_or(Victim { machine, stage: "bridge" }, |stage| self.victim(stage));
         let dies = random.bool();
         let milliseconds = random.u64(0..1500);
-        // Some stand still for longer than anybody waits for who does not answer.
-        let still = if random.u8(0..6) == 0 { 5000 + 2 * milliseconds } else { milliseconds };
+        // Some stand still for longer than a bridge waits for who does not answer, and not as long as an end is waited for.
+        let still = if random.u8(0..6) == 0 { 5200 + milliseconds / 2 } else { milliseconds };
         match random.u8(0..24) {
             0..6 => Blow::Kill(victim),
             6..10 => Blow::Stop(victim, still, if dies { Signal::KILL } else { Signal::CONT }),
