@@ -84,14 +84,12 @@ impl<'a> Receiving<'a> {
         })?;
         let known = shared.links.ends(&edge.from, &topic.name);
         let port = Some((shared.transport.writer_of(&edge.item, &topic)?, topic));
-        let mut output_port = OutputPort::new(port, BRIDGE, 0, shared.peers.clone(), shared.stop.clone());
-        known.iter().for_each(|(writer, count)| output_port.note_count(Text::new(writer), *count));
         Ok(Self {
             edge,
             lossless,
             channel,
             subscriber,
-            output_port,
+            output_port: OutputPort::new(port, BRIDGE, 0, shared.peers.clone(), shared.stop.clone()),
             sequence: Sequence::new(lossless, shared.links.seal().has_key()),
             follow: BTreeMap::new(),
             passed_on: PassedOn::default(),
@@ -144,6 +142,10 @@ impl<'a> Receiving<'a> {
                 Err(PortError::Stopped) => break,
                 result => result?,
             }
+        }
+        // Of what was given up, or came to a bridge before this one, nobody else tells how much it was.
+        for (writer, count) in self.links.ends(&self.edge.from, &self.edge.topic.name) {
+            self.output_port.note_count(Text::new(&writer), count);
         }
         let writers: Vec<_> = self.edge.writers.iter().map(|writer| Text::new(writer)).collect();
         self.output_port.end_as(&writers)?;
@@ -236,7 +238,6 @@ impl<'a> Receiving<'a> {
             self.follow.insert(writer.clone(), header.number.saturating_add(1));
         }
         if header.ends_stream() && self.sequence.is_end_to_hear(place, verdict) {
-            self.output_port.note_count(Text::new(&writer), header.number);
             self.links.note_end(&self.edge.from, &self.edge.topic.name, &writer, header.number);
             self.ended.insert(writer);
         }
