@@ -29,7 +29,8 @@ pub struct Machine {
     stopped: Vec<(u32, Signal, Instant)>,
     /// When the last onlooker was killed.
     killed: Option<Instant>,
-    /// Whether a launcher was killed when no stage had shared memory, so that nobody was left who could remove what was there.
+    /// Whether a launcher was killed when no stage had shared memory, or all that had were stopped and die with it: nobody was left
+    /// who could remove what was there.
     launcher_alone: bool,
 }
 
@@ -141,7 +142,9 @@ impl Machine {
 
     pub fn kill_launcher(&mut self) {
         let launcher = self.run.id();
-        self.launcher_alone |= stages_of(launcher).values().all(|stage| shared_files(*stage).is_empty());
+        let is_stopped = |stage: u32| self.stopped.iter().any(|(process, ..)| *process == stage);
+        let removes = |stage: u32| !shared_files(stage).is_empty() && !is_stopped(stage);
+        self.launcher_alone |= !stages_of(launcher).values().any(|stage| removes(*stage));
         signal(launcher, Signal::KILL);
         wait_until("the launcher is gone", || !self.run.is_running());
     }
