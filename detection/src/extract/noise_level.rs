@@ -6,8 +6,8 @@
 //!
 //! Pixels that lie close together show the noise that they do not have in common, whatever the surface ([`scatter`]); that
 //! is all, unless a driver smooths. If there is less of it than the model says, the errors of lines and circles tell the
-//! whole ([`share`]): they are free of noise if the model is right, and below zero by its excess. A curve takes in what noise of
-//! that level explains, and of much else where the level is far too high: so curves are looked at again by what they show.
+//! whole ([`share`]): they are free of noise if the model is right, and below zero by its excess. Where the
+//! level is far too high, curves take in steps and folds as well: so they are looked at again by the level that they show.
 
 use super::noise_estimate::NoiseEstimate;
 use super::rays::Rays;
