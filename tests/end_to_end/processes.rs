@@ -8,7 +8,7 @@ use rustix::process::Signal;
 use serde_json::Value as Json;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::os::unix::fs::{MetadataExt, PermissionsExt};
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
@@ -404,4 +404,25 @@ fn a_run_that_is_told_to_end_as_soon_as_it_has_shared_memory_leaves_nothing() {
         run.wait().expect_code(0);
         assert_eq!(files_in_shared_memory(&prefix), [""; 0], "left in round {round}");
     }
+}
+
+#[test]
+fn what_processes_were_killed_over_while_they_made_it_stops_no_later_run() {
+    let (playground, run) = at_work(TRACKING, 50);
+    let prefix = shared_prefix(&playground);
+    signal(run.id(), Signal::STOP);
+    stages_of(run.id()).into_values().chain([run.id()]).for_each(|process| signal(process, Signal::KILL));
+    drop(run.wait());
+    wait_until("all processes are gone", || playground.processes().is_empty());
+    let is_of_a_service = |name: &String| name.ends_with(".dynamic");
+    let left: Vec<_> = files_in_shared_memory(&prefix).into_iter().filter(is_of_a_service).collect();
+    assert!(left.len() > 10, "only {left:?}");
+    for path in left.iter().map(|name| Path::new("/dev/shm").join(name)) {
+        fs::remove_file(&path).unwrap();
+        // It has its name, no size yet, and nobody may read it.
+        fs::OpenOptions::new().write(true).create_new(true).mode(0o200).open(&path).unwrap();
+    }
+    let next = playground.conicflow(&["run", "--frames", "3", "--set", "json.path=next.jsonl"]).expect_code(0);
+    assert_eq!(playground.sequences("next.jsonl"), [0, 1, 2], "{}", next.stderr);
+    assert_eq!(files_in_shared_memory(&prefix), [""; 0]);
 }

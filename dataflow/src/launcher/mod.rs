@@ -46,8 +46,8 @@ use std::time::{Duration, Instant};
 use swap::Swap;
 
 const LOOK: Duration = Duration::from_millis(100);
-/// How often it looks whether what the stages share is still there.
-const LOOK_FOR_REMOVAL: Duration = Duration::from_secs(1);
+/// How often it looks whether what the stages share is still there, and what of it was only begun.
+const LOOK_AFTER_SHARED: Duration = Duration::from_secs(1);
 /// How often the launcher looks while a stage is being replaced.
 const LOOK_AT_SWAP: Duration = Duration::from_millis(2);
 /// A run in which nothing moves for this long, while a stage waits for another, is told of.
@@ -138,8 +138,8 @@ struct Launcher<'a> {
     /// How long it was not paused, up to the last look.
     went_on: Duration,
     looked: Instant,
-    /// When it was last made sure that what the stages share is there.
-    looked_for_removal: Instant,
+    /// When it was last seen to that what the stages share is there and whole.
+    looked_after_shared: Instant,
     /// Whether that, or its folder, was removed.
     is_removed: bool,
 }
@@ -171,7 +171,7 @@ impl<'a> Launcher<'a> {
             started: Instant::now(),
             went_on: Duration::ZERO,
             looked: Instant::now(),
-            looked_for_removal: Instant::now(),
+            looked_after_shared: Instant::now(),
             is_removed: false,
         }
     }
@@ -183,7 +183,7 @@ impl<'a> Launcher<'a> {
         while !self.stages.iter().all(Supervised::is_over) {
             self.wait_for_events();
             // What is missing from its stages' records may have been removed with them.
-            self.look_for_removal(services, lock);
+            self.look_after_shared(services, lock);
             self.replace();
             self.look_at_stages();
             self.press();
@@ -274,16 +274,17 @@ impl<'a> Launcher<'a> {
         }
     }
 
-    /// Ends the run in order where its folder, or what its stages share, was removed: one that is started anew would not find the
-    /// others.
-    fn look_for_removal(&mut self, services: &ServiceKeeper, lock: &RunLock) {
+    /// Removes what a stage was killed over while it made that. Ends the run in order where its folder, or what its stages share,
+    /// was removed: one that is started anew would not find the others.
+    fn look_after_shared(&mut self, services: &ServiceKeeper, lock: &RunLock) {
         if self.is_removed {
             return;
         }
         let is_running = matches!(self.phase, Phase::Running);
-        let are_services_due = is_running && self.looked_for_removal.elapsed() > LOOK_FOR_REMOVAL;
-        if are_services_due {
-            self.looked_for_removal = Instant::now();
+        let is_due = self.looked_after_shared.elapsed() > LOOK_AFTER_SHARED;
+        if is_due {
+            self.looked_after_shared = Instant::now();
+            services.settle();
         }
         if !lock.is_there() {
             let folder = self.folder.path().display();
@@ -293,7 +294,7 @@ impl<'a> Launcher<'a> {
                  stays; nobody may delete files there while a run goes on"
             );
             self.stalled.get_or_insert_with(|| "its folder was removed while it went on".to_owned());
-        } else if are_services_due && !services.is_there() {
+        } else if is_due && is_running && !services.is_there() {
             let why = "what its stages share was removed while it went on";
             tracing::error!(
                 "the run ends: {why}\n  hint: does systemd remove it when the user logs out (`RemoveIPC=no` in logind.conf)? \

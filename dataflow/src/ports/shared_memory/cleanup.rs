@@ -4,13 +4,14 @@
 //! joins or leaves may leave files that nothing leads to, and nobody removes the counter of processes; they go with the last
 //! one that uses the folder. Whoever uses it holds a lock, which the kernel releases however a process ends; and what a
 //! folder's users have in shared memory bears a prefix of its own, so that other users, folders and containers are never
-//! touched. A counter whose maker died before it was whole would stop everybody who joins: it is removed first.
+//! touched. What its maker died over before it was whole would stop for ever who opens it: it is removed before a process joins,
+//! and while a run lasts.
 
 use crate::ports::capacity::SHARED_MEMORY;
 use crate::stage::Stop;
 use rustix::fs::{FlockOperation, Mode, flock};
 use rustix::io::Errno;
-use std::fs::{self, File, OpenOptions, Permissions};
+use std::fs::{self, File, Metadata, OpenOptions, Permissions};
 use std::io::{self, ErrorKind};
 use std::os::fd::AsRawFd;
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt};
@@ -80,16 +81,20 @@ impl Occupied {
         self.root.join(LOCK).exists() && has_entry(Path::new(SHARED_MEMORY), is_counter(&self.prefix))
     }
 
-    /// Removes the counter of the folder's processes if its maker died before it was whole, and waits so long for one that
-    /// is being made: iceoryx2 gives up on such a counter, or waits for ever for one that has no size yet.
-    pub(super) fn wait_for_counter(&self, patience: Duration) -> io::Result<()> {
+    /// Removes from shared memory what its maker died over before it was whole, and waits so long for what is being made: iceoryx2
+    /// gives up on a counter of processes that is not whole, and waits for ever for what has no size yet.
+    pub(super) fn settle(&self, patience: Duration) -> io::Result<()> {
         let deadline = Instant::now() + patience;
-        for_each_entry(Path::new(SHARED_MEMORY), is_counter(&self.prefix), |path, _| {
-            while is_own(path)? && !settle(path)? && Instant::now() < deadline {
-                sleep(Duration::from_millis(1));
-            }
-            Ok(())
-        })
+        for_each_entry(
+            Path::new(SHARED_MEMORY),
+            |name| name.starts_with(&self.prefix),
+            |path, _| {
+                while is_begun(path)? && !settle(path)? && Instant::now() < deadline {
+                    sleep(Duration::from_millis(1));
+                }
+                Ok(())
+            },
+        )
     }
 
     /// Removes all that users of the folder have left in it and in shared memory, if no other uses it: for one that is about
@@ -136,23 +141,35 @@ fn is_counter(prefix: &str) -> impl Fn(&str) -> bool {
     move |name| name.starts_with(prefix) && name.ends_with(COUNTER)
 }
 
-/// Whether a file in shared memory is whole, or was removed here because it never will be: its maker, who lets nobody read it
-/// before, is gone.
+/// Whether a file in shared memory is whole, or was removed here because it never will be: its maker is gone.
 fn settle(path: &Path) -> io::Result<bool> {
     // While the file is held, and with it the lease, nobody can go on with it.
     let Some(file) = open_unless_held(path)? else { return Ok(false) };
-    let unused = is_unused(&file);
-    let is_whole = file.metadata()?.mode() & Mode::RUSR.bits() != 0;
+    let (unused, is_whole) = (is_unused(&file), is_whole(&file.metadata()?));
     if unused && !is_whole {
         fs::remove_file(path)?;
     }
     Ok(unused || is_whole)
 }
 
+/// Whether what a file in shared memory is to be is there: before that its maker lets nobody read it.
+fn is_whole(about: &Metadata) -> bool {
+    about.mode() & Mode::RUSR.bits() != 0
+}
+
 /// Whether a file in shared memory is one of this user: anybody can put files there, under any name.
 fn is_own(path: &Path) -> io::Result<bool> {
+    Ok(is_file_of_this_user(&fs::symlink_metadata(path)?))
+}
+
+/// Whether a file in shared memory is one of this user, and not whole.
+fn is_begun(path: &Path) -> io::Result<bool> {
     let about = fs::symlink_metadata(path)?;
-    Ok(about.is_file() && about.uid() == rustix::process::getuid().as_raw())
+    Ok(is_file_of_this_user(&about) && !is_whole(&about))
+}
+
+fn is_file_of_this_user(about: &Metadata) -> bool {
+    about.is_file() && about.uid() == rustix::process::getuid().as_raw()
 }
 
 /// Removes a file in shared memory, unless a process has it open; whether it was removed.
@@ -276,33 +293,33 @@ mod tests {
         assert_eq!(modes, [0o600, 0o666, 0o666]);
     }
 
-    /// The counter of a folder as its maker begins it.
-    fn begun_counter(root: &Path) -> (PathBuf, File) {
-        let path = Path::new(SHARED_MEMORY).join(format!("{}1{COUNTER}", prefix(root).unwrap()));
+    /// A part of a folder's shared memory as its maker begins it.
+    fn begin(root: &Path) -> (PathBuf, File) {
+        let path = Path::new(SHARED_MEMORY).join(format!("{}1.dynamic", prefix(root).unwrap()));
         let maker = OpenOptions::new().write(true).create_new(true).mode(0o200).open(&path).unwrap();
         (path, maker)
     }
 
     #[test]
-    fn a_counter_whose_maker_died_is_removed_and_one_that_is_being_made_is_waited_for() {
+    fn what_its_maker_died_over_is_removed_and_what_is_being_made_is_waited_for() {
         let folder = tempfile::tempdir().unwrap();
         let occupied = Occupied::new(folder.path(), Stop::default()).unwrap();
-        let (path, maker) = begun_counter(folder.path());
-        occupied.wait_for_counter(Duration::from_millis(20)).unwrap();
+        let (path, maker) = begin(folder.path());
+        occupied.settle(Duration::from_millis(20)).unwrap();
         assert!(path.exists(), "it is nobody else's yet, and not for ever waited for");
         drop(maker);
-        occupied.wait_for_counter(Duration::ZERO).unwrap();
+        occupied.settle(Duration::ZERO).unwrap();
         assert!(!path.exists(), "its maker is gone");
 
-        let (path, maker) = begun_counter(folder.path());
+        let (path, maker) = begin(folder.path());
         let making = std::thread::spawn(move || {
             sleep(Duration::from_millis(50));
             maker.set_permissions(Permissions::from_mode(0o600)).unwrap();
         });
-        occupied.wait_for_counter(Duration::from_secs(20)).unwrap();
+        occupied.settle(Duration::from_secs(20)).unwrap();
         assert_eq!(fs::metadata(&path).unwrap().mode() & 0o777, 0o600, "waited for until it is whole");
         making.join().unwrap();
-        occupied.wait_for_counter(Duration::ZERO).unwrap();
+        occupied.settle(Duration::ZERO).unwrap();
         assert!(path.exists(), "nobody has it open, and it is whole");
     }
 
@@ -310,7 +327,7 @@ mod tests {
     fn a_file_that_another_one_looks_at_is_looked_at_after_that() {
         let folder = tempfile::tempdir().unwrap();
         let occupied = Occupied::new(folder.path(), Stop::default()).unwrap();
-        let (path, maker) = begun_counter(folder.path());
+        let (path, maker) = begin(folder.path());
         drop(maker);
         let held = open(&path).unwrap();
         assert!(is_unused(&held));
@@ -319,7 +336,7 @@ mod tests {
             sleep(Duration::from_millis(50));
             drop(held);
         });
-        occupied.wait_for_counter(Duration::from_secs(20)).unwrap();
+        occupied.settle(Duration::from_secs(20)).unwrap();
         looking.join().unwrap();
         assert!(!path.exists(), "its maker is gone");
     }
@@ -327,7 +344,7 @@ mod tests {
     #[test]
     fn what_was_only_begun_is_removed_by_who_may_not_read_it() {
         let folder = tempfile::tempdir().unwrap();
-        let (path, maker) = begun_counter(folder.path());
+        let (path, maker) = begin(folder.path());
         drop(maker);
         // As root everybody may read it: this thread gives that up.
         let removed = std::thread::spawn(move || {

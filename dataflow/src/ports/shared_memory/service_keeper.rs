@@ -7,6 +7,7 @@ use super::acknowledgements::Acknowledgements;
 use super::services::{EventFactory, SharedMemory};
 use super::untyped::Factory;
 use crate::ports::{PortError, Topic};
+use std::time::Duration;
 
 /// The services of topics, for as long as this is held.
 pub struct ServiceKeeper {
@@ -19,6 +20,12 @@ impl ServiceKeeper {
     /// Whether the run's part of shared memory is there. If it is not, those who are in it go on, but nobody finds them any more.
     pub(crate) fn is_there(&self) -> bool {
         self.memory.occupied.is_there()
+    }
+
+    /// Removes from it what a stage was killed over while it made that: who waits for it goes on. What cannot be removed goes with
+    /// the run.
+    pub(crate) fn settle(&self) {
+        self.memory.occupied.settle(Duration::ZERO).ok();
     }
 }
 

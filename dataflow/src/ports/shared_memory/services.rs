@@ -56,7 +56,7 @@ impl SharedMemory {
         let doing = || format!("stage `{stage}` cannot join the shared memory");
         let fault = |reason: &dyn Debug| PortError::of_shared_memory(root, doing(), reason);
         let occupied = Arc::new(Occupied::new(root, stop.clone()).map_err(|error| fault(&error))?);
-        occupied.wait_for_counter(CREATION_TIMEOUT).map_err(|error| fault(&error))?;
+        occupied.settle(CREATION_TIMEOUT).map_err(|error| fault(&error))?;
         let name = NodeName::new(stage).map_err(|error| fault(&error))?;
         let builder = NodeBuilder::new().name(&name).config(&config).signal_handling_mode(SignalHandlingMode::Disabled);
         let node = builder.create::<Ipc>().map_err(|error: NodeCreationFailure| fault(&error))?;

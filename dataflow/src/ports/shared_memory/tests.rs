@@ -84,6 +84,31 @@ fn a_folder_can_be_joined_and_cleared_after_a_process_died_that_was_the_first_to
     }
 }
 
+#[test]
+fn a_run_goes_on_where_a_process_died_that_had_begun_what_another_one_waits_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let services = open(folder.path(), "launcher").keep_services([&lossless()].into_iter()).unwrap();
+    let waiting = open(folder.path(), "reader");
+    let begins = waiting.occupied.prefix().to_owned();
+    let shared = fs::read_dir(SHARED_MEMORY).unwrap().map(|entry| entry.unwrap().path());
+    let is_of_a_service = |path: &PathBuf| {
+        path.to_string_lossy().contains(&begins) && path.extension().is_some_and(|end| end == "dynamic")
+    };
+    for path in shared.filter(is_of_a_service) {
+        fs::remove_file(&path).unwrap();
+        OpenOptions::new().write(true).create_new(true).mode(0o200).open(&path).unwrap();
+    }
+    let (opened, is_opened) = channel();
+    let opening = thread::spawn(move || opened.send(waiting.messages(&ItemType::of::<u16>(), &lossless()).is_err()));
+    is_opened.recv_timeout(Duration::from_millis(100)).unwrap_err();
+    let goes_on = (0..1000).find_map(|_| {
+        services.settle();
+        is_opened.recv_timeout(Duration::from_millis(10)).ok()
+    });
+    assert_eq!(goes_on, Some(true), "it waits for ever, or found what is not there");
+    opening.join().unwrap().unwrap();
+}
+
 /// A process of its own that is in the midst of reading a lossless topic: this program, of which it runs the test below.
 pub(super) struct ReadingProcess(Child);
 
