@@ -463,7 +463,8 @@ impl Edge {
         if self.told.is_some() || self.reader != Reader::AtWork || self.unfinished() > 0 {
             return None;
         }
-        self.told = Some(base.count);
+        // What came again may be less than there was.
+        self.told = Some(self.noted_end.unwrap_or(base.count));
         Some(())
     }
 
