@@ -119,7 +119,7 @@ fn detector_of_the_paper() -> (ConicExtractor, ProfileAssembler) {
 /// Simulated scenes in this size.
 fn scenes((width, height): (u32, u32)) -> Result<Column, Box<dyn Error>> {
     let config = SimulatorParameters { width, height, ..SimulatorParameters::default() };
-    let scenes = RandomScenes { groups: GROUPS.into(), seeds: SEEDS };
+    let scenes = RandomScenes { groups: GROUPS.into(), seeds: SEEDS, ..RandomScenes::default() };
     let (first, _) = scenes.scene(0);
     let count = scenes.frames();
     let mut camera =

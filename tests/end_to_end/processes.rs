@@ -406,6 +406,22 @@ fn a_run_that_is_told_to_end_as_soon_as_it_has_shared_memory_leaves_nothing() {
     }
 }
 
+/// A part of shared memory as a process leaves it that is killed in that moment: it has its name, no size yet, and nobody may
+/// read it.
+fn begin(path: &Path) {
+    fs::OpenOptions::new().write(true).create_new(true).mode(0o200).open(path).unwrap();
+}
+
+#[test]
+fn what_a_stage_was_killed_over_while_it_made_it_is_removed_while_the_run_goes_on() {
+    let (playground, mut run) = at_work(TRACKING, 50);
+    let path = Path::new("/dev/shm").join(shared_prefix(&playground) + "begun.dynamic");
+    begin(&path);
+    run.wait_until("it is removed", || !path.exists());
+    wait_for_lines(&mut run, &playground);
+    run.end();
+}
+
 #[test]
 fn what_processes_were_killed_over_while_they_made_it_stops_no_later_run() {
     let (playground, run) = at_work(TRACKING, 50);
@@ -419,8 +435,7 @@ fn what_processes_were_killed_over_while_they_made_it_stops_no_later_run() {
     assert!(left.len() > 10, "only {left:?}");
     for path in left.iter().map(|name| Path::new("/dev/shm").join(name)) {
         fs::remove_file(&path).unwrap();
-        // It has its name, no size yet, and nobody may read it.
-        fs::OpenOptions::new().write(true).create_new(true).mode(0o200).open(&path).unwrap();
+        begin(&path);
     }
     let next = playground.conicflow(&["run", "--frames", "3", "--set", "json.path=next.jsonl"]).expect_code(0);
     assert_eq!(playground.sequences("next.jsonl"), [0, 1, 2], "{}", next.stderr);

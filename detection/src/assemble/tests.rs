@@ -90,7 +90,7 @@ fn small_boxes_far_away_are_nothing_either() {
     // Noise leaves so little of their edges that arcs of cylinders, cones and spheres miss them by no more than chance.
     for seed in [1211, 1521, 1676, 1852, 2118] {
         let (first, config) = (random_scene(SceneGroup::Empty, seed), SimulatorParameters::default());
-        let scenes = RandomScenes { groups: vec![SceneGroup::Empty], seeds: [seed, seed] };
+        let scenes = RandomScenes { groups: vec![SceneGroup::Empty], seeds: [seed, seed], ..RandomScenes::default() };
         let mut camera = SyntheticCamera::new(first, config.camera(), config.noise, config.depth_scale, 30.0, 0);
         camera = camera.before(scenes);
         let (mut header, mut pixels) = (Header::default(), vec![0; 640 * 480]);

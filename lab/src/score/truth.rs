@@ -1,7 +1,7 @@
 //! What is truly there, and what a detector owes to it. Of rendered frames that is a function of what the header tells: the
 //! scene's name, the time and the camera. Of recorded ones it comes from a file ([`super::recorded`]).
 
-use crate::simulator::random_scene::{parse_name, random_scene};
+use crate::simulator::random_scene;
 use crate::simulator::scene::Scene;
 use crate::simulator::scene_values::{SceneTemplate, Values};
 use crate::simulator::truth::{Truth, truth_at};
@@ -172,8 +172,8 @@ impl RenderedTruth {
         if let Some(scene) = self.scene.as_ref().and_then(|template| template.of_source(name)) {
             return scene;
         }
-        if let Some((group, seed)) = parse_name(name) {
-            return Ok(random_scene(group, seed));
+        if let Some(scene) = random_scene::scene_named(name) {
+            return Ok(scene);
         }
         match Scene::built_in(name) {
             Some(scene) => scene,

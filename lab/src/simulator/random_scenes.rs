@@ -1,6 +1,6 @@
 //! Which random scene each frame of a run shows.
 
-use super::random_scene::{SceneGroup, random_scene};
+use super::random_scene::{MAX_ROLL_DEG, SceneGroup, rolled_scene};
 use super::scene::Scene;
 use conicflow_messages::ConfigFault;
 use schemars::JsonSchema;
@@ -15,11 +15,14 @@ pub struct RandomScenes {
     pub groups: Vec<SceneGroup>,
     /// First and last seed.
     pub seeds: [u64; 2],
+    /// How far the camera is rolled to its right, beside the 6 degrees at most that it is to either side, in degrees.
+    #[schemars(range(min = -75.0, max = 75.0))]
+    pub roll_deg: f64,
 }
 
 impl Default for RandomScenes {
     fn default() -> Self {
-        Self { groups: SceneGroup::USUAL.into(), seeds: [0, 9] }
+        Self { groups: SceneGroup::USUAL.into(), seeds: [0, 9], roll_deg: 0.0 }
     }
 }
 
@@ -41,7 +44,7 @@ impl RandomScenes {
     pub fn scene(&self, number: u64) -> (Scene, u64) {
         let (group, seed) = self.choice(number);
         let groups = SceneGroup::USUAL.len() as u64;
-        (random_scene(group, seed), seed.wrapping_mul(groups).wrapping_add(group as u64))
+        (rolled_scene(group, seed, self.roll_deg), seed.wrapping_mul(groups).wrapping_add(group as u64))
     }
 
     /// What cannot be used about them.
@@ -54,6 +57,10 @@ impl RandomScenes {
             let what = format!("has the seeds {first} to {last}, which is none");
             return Some(ConfigFault::new("scenes", what, "seeds = [first, last]"));
         }
+        if !(-MAX_ROLL_DEG..=MAX_ROLL_DEG).contains(&self.roll_deg) {
+            let what = format!("has `roll_deg` = {}", self.roll_deg);
+            return Some(ConfigFault::new("scenes", what, format!("set it to {} to {MAX_ROLL_DEG}", -MAX_ROLL_DEG)));
+        }
         None
     }
 }
@@ -64,14 +71,18 @@ mod tests {
 
     #[test]
     fn every_seed_shows_each_group_once() {
-        let scenes = RandomScenes { groups: vec![SceneGroup::Lying, SceneGroup::Empty], seeds: [5, 7] };
+        let scenes = RandomScenes {
+            groups: vec![SceneGroup::Lying, SceneGroup::Empty],
+            seeds: [5, 7],
+            ..RandomScenes::default()
+        };
         let names: Vec<_> = (0..scenes.frames()).map(|number| scenes.scene(number).0.name).collect();
         assert_eq!(names, ["lying/5", "empty/5", "lying/6", "empty/6", "lying/7", "empty/7"]);
     }
 
     #[test]
     fn the_noise_of_a_scene_does_not_depend_on_what_else_is_shown() {
-        let alone = RandomScenes { groups: vec![SceneGroup::Lying], seeds: [3, 3] };
+        let alone = RandomScenes { groups: vec![SceneGroup::Lying], seeds: [3, 3], ..RandomScenes::default() };
         let among_all = RandomScenes { seeds: [0, 9], ..RandomScenes::default() };
         let number = (0..among_all.frames()).find(|number| among_all.choice(*number) == (SceneGroup::Lying, 3));
         assert_eq!(among_all.scene(number.unwrap()).1, alone.scene(0).1);
@@ -82,5 +93,8 @@ mod tests {
         assert_eq!(RandomScenes::default().fault(), None);
         assert!(RandomScenes { groups: Vec::new(), ..RandomScenes::default() }.fault().is_some());
         assert!(RandomScenes { seeds: [9, 0], ..RandomScenes::default() }.fault().unwrap().what.contains("9 to 0"));
+        for roll_deg in [75.5, -80.0, f64::NAN] {
+            assert!(RandomScenes { roll_deg, ..RandomScenes::default() }.fault().is_some(), "{roll_deg}");
+        }
     }
 }

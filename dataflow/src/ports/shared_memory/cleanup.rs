@@ -320,7 +320,7 @@ mod tests {
         assert_eq!(fs::metadata(&path).unwrap().mode() & 0o777, 0o600, "waited for until it is whole");
         making.join().unwrap();
         occupied.settle(Duration::ZERO).unwrap();
-        assert!(path.exists(), "nobody has it open, and it is whole");
+        assert!(settle(&path).unwrap() && path.exists(), "nobody has it open, and it is whole");
     }
 
     #[test]

@@ -98,19 +98,34 @@ const GROUPS: [Arranged; 14] = [
     (SceneGroup::Hall, "hall", lived_in::hall),
 ];
 
+/// The camera is rolled by at most so many degrees to either side, beside the few that it always may be.
+pub const MAX_ROLL_DEG: f64 = 75.0;
+
 /// A scene of a group; named `group/seed`.
 pub fn random_scene(group: SceneGroup, seed: u64) -> Scene {
+    rolled_scene(group, seed, 0.0)
+}
+
+/// The same before a camera that is rolled by so many degrees more; named `group/seed/degrees` then.
+pub fn rolled_scene(group: SceneGroup, seed: u64, roll_deg: f64) -> Scene {
     let mut set = Set::new(group as u64, seed);
     let (_, name, arrange) = GROUPS[group as usize];
     arrange(&mut set);
-    set.scene(name, seed)
+    set.roll_deg += roll_deg;
+    let rolled = if roll_deg == 0.0 { String::new() } else { format!("/{roll_deg}") };
+    let mut scene = set.scene(format!("{name}/{seed}{rolled}"));
+    scene.group = Some(name);
+    scene
 }
 
-/// The group and seed of a scene, from its name.
-pub fn parse_name(name: &str) -> Option<(SceneGroup, u64)> {
-    let (group, seed) = name.split_once('/')?;
+/// The scene of this name.
+pub fn scene_named(name: &str) -> Option<Scene> {
+    let mut parts = name.split('/');
+    let (group, seed) = (parts.next()?, parts.next()?.parse().ok()?);
+    let roll_deg = parts.next().map_or(Some(0.0), |roll| roll.parse().ok())?;
     let group = SceneGroup::all().find(|known| known.name() == group)?;
-    Some((group, seed.parse().ok()?))
+    let is_known = parts.next().is_none() && (-MAX_ROLL_DEG..=MAX_ROLL_DEG).contains(&roll_deg);
+    is_known.then(|| rolled_scene(group, seed, roll_deg))
 }
 
 #[cfg(test)]

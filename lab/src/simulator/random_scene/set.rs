@@ -14,7 +14,7 @@ pub struct Set {
     pub taken: Vec<(Vector3<f64>, f64)>,
     pub camera: Vector3<f64>,
     look_at: Vector3<f64>,
-    roll_deg: f64,
+    pub roll_deg: f64,
 }
 
 impl Set {
@@ -64,12 +64,9 @@ impl Set {
         self.look_at = middle + Vector3::new(shake(), shake(), height + shake());
     }
 
-    /// The scene, named `group/seed`.
-    pub fn scene(self, group: &'static str, seed: u64) -> Scene {
-        let name = format!("{group}/{seed}");
+    /// The scene, of this name.
+    pub fn scene(self, name: String) -> Scene {
         let camera_up = Vector3::new(libm::tan(self.roll_deg.to_radians()), 0.0, 1.0);
-        let mut scene = Scene::still(name, self.bodies, self.camera, self.look_at, camera_up);
-        scene.group = Some(group);
-        scene
+        Scene::still(name, self.bodies, self.camera, self.look_at, camera_up)
     }
 }

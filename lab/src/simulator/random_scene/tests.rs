@@ -16,10 +16,31 @@ fn a_scene_is_a_function_of_group_and_seed() {
         let [one, same, other] = [7, 7, 8].map(|seed| format!("{:?}", random_scene(group, seed)));
         assert_eq!(one, same);
         assert_ne!(one.replace("/7", "/8"), other);
-        assert_eq!(parse_name(&random_scene(group, 31).name), Some((group, 31)));
+        for scene in [random_scene(group, 31), rolled_scene(group, 31, -22.5)] {
+            assert_eq!(format!("{:?}", scene_named(&scene.name)), format!("{:?}", Some(scene)));
+        }
     }
-    assert_eq!(parse_name("tabletop"), None);
-    assert_eq!(parse_name("garden/3"), None);
+    for name in ["tabletop", "garden/3", "tabletop/3/a", "tabletop/3/80", "tabletop/3/NaN", "tabletop/3/45/1"] {
+        assert!(scene_named(name).is_none(), "{name}");
+    }
+}
+
+#[test]
+fn a_camera_that_is_rolled_sees_the_same_things_turned() {
+    let centers = |roll_deg| {
+        let truths = (0..5).flat_map(|seed| truth_at(&rolled_scene(SceneGroup::Standing, seed, roll_deg), CAMERA, 0.0));
+        truths.map(|truth| truth.body.center.map(f64::from)).collect::<Vec<_>>()
+    };
+    let (upright, rolled) = (centers(0.0), centers(45.0));
+    assert!(upright.len() == rolled.len() && upright.len() > 5, "{upright:?}, {rolled:?}");
+    for ([x, y, z], [u, v, w]) in upright.into_iter().zip(rolled) {
+        assert!((x.hypot(y) - u.hypot(v)).abs() < 1e-4 && (z - w).abs() < 1e-4, "it stays as far from the camera");
+        let turned = (x * v - y * u).atan2(x * u + y * v).to_degrees();
+        assert!(
+            (-55.0..-35.0).contains(&turned),
+            "a camera that is rolled to its right sees things turn to the left: {turned}"
+        );
+    }
 }
 
 #[test]
