@@ -10,6 +10,7 @@ mod browser;
 mod certificates;
 mod commands;
 mod compare;
+mod crash_points;
 mod detect;
 mod doctor;
 mod experiments;

@@ -34,13 +34,13 @@ const VICTIMS: [Victims; 4] = [Victims::Stage, Victims::TwoStages, Victims::Laun
 
 /// What the runs of the playground have left: files of theirs in shared memory, and in the runtime folder those that are
 /// not only there to be locked.
-fn files(playground: &Playground, prefix: &str) -> BTreeSet<String> {
+pub fn files(playground: &Playground, prefix: &str) -> BTreeSet<String> {
     let below = files_below(playground.runtime()).into_iter().map(|path| path.display().to_string());
     files_in_shared_memory(prefix).into_iter().chain(below.filter(|path| !path.ends_with("lock"))).collect()
 }
 
 /// What the names of all shared memory of runs in the playground begin with.
-fn prefix(playground: &Playground) -> String {
+pub fn prefix(playground: &Playground) -> String {
     let mut run = playground.start(&["run", "--set", "source.rate_hz=100"]);
     wait_for_lines(&mut run, playground);
     let prefix = shared_prefix(playground);
