@@ -4,6 +4,7 @@
 
 #![allow(unsafe_code)] // the calls of another process are seen by `ptrace`
 
+use crate::bridge::{apart, loopback, machines};
 use crate::stress::{files, prefix};
 use crate::support::{DEADLINE, Ended, Playground, TRACKING, TRACKING_STAGES, environment, signal, wait_until};
 use rustix::process::Signal;
@@ -19,11 +20,13 @@ const POINTS: &str = "CONICFLOW_CRASH_POINTS";
 /// How many calls of each process it is killed before.
 const DEFAULT_POINTS: usize = 4;
 const FRAMES: u64 = 20;
+const RUN: [&str; 5] = ["run", "--frames", "20", "--set", "source.rate_hz=100"];
 
 /// A stop of a traced thread is one before or after a call.
 const CALL: i32 = libc::SIGTRAP | 0x80;
 
 /// A run whose processes are traced, on their way to the one that is killed.
+#[derive(Default)]
 struct Tracer {
     launcher: i32,
     /// The stage that is watched; the launcher if none.
@@ -77,6 +80,25 @@ fn shares((number, arguments): (c_long, [u64; 6])) -> bool {
 }
 
 impl Tracer {
+    /// Runs the launcher until it, and all that it has started, are gone; its exit code, if it ended by itself.
+    fn run(&mut self, mut launcher: Command) -> io::Result<Option<i32>> {
+        let begin = || if ptrace(libc::PTRACE_TRACEME, 0, 0, 0) < 0 { Err(io::Error::last_os_error()) } else { Ok(()) };
+        // SAFETY: it is a call to the system alone.
+        self.launcher = unsafe { launcher.pre_exec(begin) }.spawn()?.id().cast_signed();
+        let (mut code, mut status) = (None, 0);
+        loop {
+            // SAFETY: it writes the one number.
+            let thread = unsafe { libc::waitpid(-1, &raw mut status, libc::__WALL | libc::__WNOTHREAD) };
+            if thread < 0 {
+                return Ok(code);
+            } else if libc::WIFSTOPPED(status) {
+                self.go_on(thread, status);
+            } else if thread == self.launcher {
+                code = libc::WIFEXITED(status).then(|| libc::WEXITSTATUS(status));
+            }
+        }
+    }
+
     /// Lets a thread go on that stands; kills its process where that has come to the point.
     fn go_on(&mut self, thread: i32, status: i32) {
         let (mut passed_on, event) = (libc::WSTOPSIG(status), status >> 16);
@@ -120,79 +142,97 @@ fn process_of(thread: i32) -> Option<i32> {
     status.lines().find_map(|line| line.strip_prefix("Tgid:")?.trim().parse().ok())
 }
 
-/// Runs a pipeline to its end, in which the launcher, or the first process of a stage, is killed before one of its calls; with
+/// Runs `conicflow` with these arguments to the end of a run, in which the launcher, or the first process of a stage, is killed before one of its calls; with
 /// how many calls that made. `None`: this system lets nobody trace.
-fn run(playground: &Playground, stage: Option<&'static str>, point: Option<usize>) -> Option<(Ended, usize)> {
-    fs::remove_file(playground.path("tracks.jsonl")).ok();
-    let frames = FRAMES.to_string();
-    let mut command: Command = playground.command(&["run", "--frames", &frames, "--set", "source.rate_hz=100"]);
+fn traced(
+    playground: &Playground,
+    arguments: &[&str],
+    stage: Option<&'static str>,
+    point: Option<usize>,
+) -> Option<(Ended, usize)> {
+    let mut command = playground.command(arguments);
     command.stdout(File::create(playground.path("stdout")).unwrap());
     command.stderr(File::create(playground.path("stderr")).unwrap());
-    let trace = || if ptrace(libc::PTRACE_TRACEME, 0, 0, 0) < 0 { Err(io::Error::last_os_error()) } else { Ok(()) };
-    // SAFETY: it is a call to the system alone.
-    let started = unsafe { command.pre_exec(trace) }.spawn();
-    let launcher = match started {
-        Err(error) if error.raw_os_error() == Some(libc::EPERM) => return None,
-        started => started.unwrap().id().cast_signed(),
-    };
-    let mut tracer = Tracer { launcher, stage, point, watched: None, calls: 0, processes: BTreeMap::new() };
+    let mut tracer = Tracer { stage, point, ..Tracer::default() };
     let (over, is_over) = channel();
-    let mut code = None;
-    std::thread::scope(|scope| {
-        scope.spawn(move || {
-            if is_over.recv_timeout(DEADLINE).is_err() {
-                playground.processes().into_iter().for_each(|process| signal(process, Signal::KILL));
-            }
+    let ran = std::thread::scope(|scope| {
+        // A thread of its own has no other children.
+        let tracing = scope.spawn(|| {
+            let ran = tracer.run(command);
+            over.send(()).unwrap();
+            ran
         });
-        loop {
-            let mut status = 0;
-            // SAFETY: it writes the one number. Children of other tests are none of this thread.
-            let thread = unsafe { libc::waitpid(-1, &raw mut status, libc::__WALL | libc::__WNOTHREAD) };
-            if thread < 0 {
-                break;
-            } else if libc::WIFSTOPPED(status) {
-                tracer.go_on(thread, status);
-            } else if thread == launcher {
-                code = libc::WIFEXITED(status).then(|| libc::WEXITSTATUS(status));
-            }
+        if is_over.recv_timeout(DEADLINE).is_err() {
+            playground.processes().into_iter().for_each(|process| signal(process, Signal::KILL));
         }
-        over.send(()).ok();
+        tracing.join().unwrap()
     });
+    let code = match ran {
+        Err(error) if error.raw_os_error() == Some(libc::EPERM) => return None,
+        ran => ran.unwrap(),
+    };
     let [stdout, stderr] = ["stdout", "stderr"].map(|name| fs::read_to_string(playground.path(name)).unwrap());
     Some((Ended { code, stdout, stderr }, tracer.calls))
 }
 
+/// Kills the launcher, or the first process of a stage, before some of its calls, each time in another run of `run`, which is told
+/// before which one, and tells how many that made; of `None` it kills nobody.
+fn kill_at_points(who: &str, mut run: impl FnMut(Option<usize>) -> Option<usize>) {
+    let points = std::env::var(POINTS).map_or(DEFAULT_POINTS, |text| text.parse().unwrap());
+    let Some(calls) = run(None) else {
+        eprintln!("SKIPPED: this system lets nobody trace a process; nothing was shown");
+        return;
+    };
+    assert!(calls > 20, "{who}: {calls}");
+    let (mut tried, mut killed) = (0, 0);
+    for point in (1..=calls).step_by(calls.div_ceil(points)) {
+        println!("{who}: before call {point} of {calls}");
+        (tried, killed) = (tried + 1, killed + usize::from(run(Some(point)) == Some(point)));
+    }
+    println!("{who}: killed {killed} of {tried} times");
+    assert!(killed > tried / 2, "the others were over before");
+}
+
 #[test]
 fn a_process_may_be_killed_before_any_call_by_which_it_shares_something() {
-    let points = std::env::var(POINTS).map_or(DEFAULT_POINTS, |text| text.parse().unwrap());
     let playground = Playground::with_pipeline(TRACKING);
     let prefix = prefix(&playground);
-    let (before, mut tried, mut killed) = (files(&playground, &prefix), 0, 0);
+    let before = files(&playground, &prefix);
     for stage in [None].into_iter().chain(TRACKING_STAGES.map(Some)) {
-        let who = stage.unwrap_or("launcher");
-        let Some((ended, calls)) = run(&playground, stage, None) else {
-            eprintln!("SKIPPED: this system lets nobody trace a process; nothing was shown");
-            return;
-        };
-        ended.expect_code(0);
-        assert!(calls > 20, "{who}: {calls}");
-        for point in (1..=calls).step_by(calls.div_ceil(points)) {
-            println!("{who}: before call {point} of {calls}");
-            let (ended, made) = run(&playground, stage, Some(point)).unwrap();
-            (tried, killed) = (tried + 1, killed + usize::from(made == point));
+        kill_at_points(stage.unwrap_or("launcher"), |point| {
+            fs::remove_file(playground.path("tracks.jsonl")).ok();
+            let (ended, calls) = traced(&playground, &RUN, stage, point)?;
             wait_until("all processes are gone", || playground.processes().is_empty());
-            if stage.is_some() {
+            if stage.is_some() || point.is_none() {
                 let ended = ended.expect_code(0);
                 assert!(playground.sequences("tracks.jsonl").into_iter().eq(0..FRAMES), "{}", ended.stderr);
             } else {
-                let next =
-                    playground.conicflow(&["run", "--frames", "3", "--set", "json.path=next.jsonl"]).expect_code(0);
+                let next = playground.conicflow(&["run", "--frames", "3", "--set", "json.path=next.jsonl"]);
+                let next = next.expect_code(0);
                 assert_eq!(playground.sequences("next.jsonl"), [0, 1, 2], "{}", next.stderr);
             }
             let left: Vec<_> = files(&playground, &prefix).difference(&before).cloned().collect();
-            assert_eq!(left, [""; 0], "{who}: left behind by the kill before call {point} of {calls}");
-        }
+            assert_eq!(left, [""; 0], "{stage:?}: left behind by the kill before call {point:?}");
+            Some(calls)
+        });
     }
-    println!("killed {killed} of {tried} times");
-    assert!(killed > tried / 2, "the others were over before");
+}
+
+#[test]
+fn a_bridge_may_be_killed_before_any_call_by_which_it_shares_something() {
+    let endpoint = loopback();
+    let [robot, base] = machines(&apart(&endpoint, &endpoint));
+    for (own, other) in [([&robot, &base], ["robot", "base"]), ([&base, &robot], ["base", "robot"])] {
+        kill_at_points(other[0], |point| {
+            fs::remove_file(base.path("tracks.jsonl")).ok();
+            let arguments = other.map(|machine| [&RUN[..], &["--machine", machine]].concat());
+            let beside = own[1].start(&arguments[1]);
+            let traced = traced(own[0], &arguments[0], Some("bridge"), point);
+            let (beside, (ended, calls)) = (beside.wait(), traced?);
+            let told = [ended.expect_code(0).stderr, beside.expect_code(0).stderr];
+            assert!(base.sequences("tracks.jsonl").into_iter().eq(0..FRAMES), "{told:?}");
+            wait_until("all processes are gone", || own.iter().all(|machine| machine.processes().is_empty()));
+            Some(calls)
+        });
+    }
 }
