@@ -1,5 +1,5 @@
 //! A process of a run is killed before each of the calls by which it makes, shows or removes something that it shares: kills at
-//! random moments seldom hit these. A few of them are tried; all, in five minutes, by
+//! random moments seldom hit these. A few of them are tried; all, in a quarter of an hour, by
 //! `CONICFLOW_CRASH_POINTS=1000 cargo test --test end_to_end -- crash_points --nocapture`.
 
 #![allow(unsafe_code)] // the calls of another process are seen by `ptrace`

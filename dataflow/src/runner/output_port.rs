@@ -18,7 +18,7 @@ const PATIENCE_WITH_LIVE_READERS: Duration = Duration::from_secs(5);
 /// How often a writer looks whether readers have come or gone.
 const LOOK: Duration = Duration::from_millis(10);
 /// How often the end is told again to those whose full queue may not have taken it, and whoever waits for a reader looks
-/// whether that was started anew.
+/// whether that was killed or started anew.
 const TELL_END: Duration = Duration::from_millis(100);
 
 /// Writes the messages of one stage.
@@ -196,9 +196,16 @@ impl<W: Writer> OutputPort<W> {
     fn end_each(&mut self, ends: &[Header]) -> Result<(), PortError> {
         // Ends take the place of messages that are kept.
         self.await_finish();
-        let mut telling = Telling::until(Instant::now() + PATIENCE_WITH_LIVE_READERS);
+        let (mut telling, mut looked) = (Telling::until(Instant::now() + PATIENCE_WITH_LIVE_READERS), Instant::now());
         while !self.stop.forced() && !self.tell(ends, &mut telling)? {
-            std::thread::sleep(LOOK);
+            match &mut self.port {
+                // One that was killed, and does not come again, is there until somebody clears it away.
+                Some((writer, _)) if looked.elapsed() > TELL_END => {
+                    looked = Instant::now();
+                    writer.wait(LOOK);
+                }
+                _ => std::thread::sleep(LOOK),
+            }
         }
         Ok(())
     }

@@ -5,6 +5,8 @@ use super::output_port::{OutputPort, Telling};
 use super::peers::Peers;
 use super::untyped::NewStage;
 use crate::ports::in_memory::{InMemory, MemoryReader, MemoryWriter};
+use crate::ports::shared_memory::SharedMemory;
+use crate::ports::shared_memory::tests::{ReadingProcess, topic as shared_topic};
 use crate::ports::{Delivery, Reader, Received, Topic, TopicReader, Transport, Writer};
 use crate::relay::end_of_stream;
 use crate::stage::Stop;
@@ -14,6 +16,7 @@ use bytemuck::cast_slice;
 use conicflow_messages::{AnyByte, Camera, Header, Message, Nothing, Object, ObjectKind, Text};
 use serde_json::json;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::channel;
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -202,6 +205,22 @@ fn the_bridge_which_may_have_other_topics_is_not_waited_for_when_it_was_told_the
         output_port.tell(&end, &mut telling).unwrap()
     };
     assert_eq!(["bridge", "sink"].map(leaves_at_once), [true, false]);
+}
+
+#[test]
+fn a_reader_that_was_killed_and_does_not_come_again_is_not_waited_for() {
+    let (folder, topic) = (tempfile::tempdir().unwrap(), shared_topic(Delivery::Latest, 3));
+    let memory = SharedMemory::open(folder.path(), "test", "writer", Stop::default()).unwrap();
+    let writer = memory.writer::<u16>(&topic).unwrap();
+    let reader = ReadingProcess::start(folder.path(), Delivery::Latest);
+    let peers = Peers::modelled(|_| Some(Life::Ended));
+    let mut output_port = OutputPort::new(Some((writer, topic)), "writer", 0, peers, Stop::default());
+    let (end, is_over) = channel();
+    let ending = thread::spawn(move || end.send(output_port.end().is_ok()));
+    assert!(is_over.recv_timeout(Duration::from_millis(300)).is_err(), "it is there");
+    reader.kill();
+    assert_eq!(is_over.recv_timeout(Duration::from_secs(20)), Ok(true));
+    ending.join().unwrap().unwrap();
 }
 
 #[test]

@@ -132,6 +132,7 @@ pub(crate) fn check_path(root: &Path) -> Result<(), PortError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ports::Delivery;
     use crate::ports::shared_memory::tests::ReadingProcess;
     use crate::stage::Stop;
     use std::fs::File;
@@ -193,7 +194,7 @@ mod tests {
     #[test]
     fn a_process_that_was_killed_is_litter_until_that_is_cleared_away() {
         let folder = tempfile::tempdir().unwrap();
-        let process = ReadingProcess::start(folder.path());
+        let process = ReadingProcess::start(folder.path(), Delivery::Lossless);
         assert_eq!(litter(folder.path()), Litter::None, "it lives");
         process.kill();
         assert_eq!(litter(folder.path()), Litter::Processes(1));

@@ -21,7 +21,7 @@ mod sent_messages;
 mod service_keeper;
 mod services;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 pub(crate) mod trim_rss;
 mod untyped;
 mod writer;

@@ -15,7 +15,7 @@ use std::sync::mpsc::channel;
 use std::time::{Duration, Instant};
 use std::{env, fs, io, thread};
 
-fn topic(delivery: Delivery, queue: usize) -> Topic {
+pub(crate) fn topic(delivery: Delivery, queue: usize) -> Topic {
     let reader = TopicReader { stage: "reader".into(), delivery, queue };
     Topic { name: "things".into(), item: None, writers: vec!["writer".into()], readers: vec![reader] }
 }
@@ -109,24 +109,28 @@ fn a_run_goes_on_where_a_process_died_that_had_begun_what_another_one_waits_for(
     opening.join().unwrap().unwrap();
 }
 
-/// A process of its own that is in the midst of reading a lossless topic: this program, of which it runs the test below.
-pub(super) struct ReadingProcess(Child);
+/// A process of its own that is in the midst of reading a topic: this program, of which it runs the test below.
+pub(crate) struct ReadingProcess(Child);
 
 impl ReadingProcess {
     const FOLDER: &str = "CONICFLOW_TEST_FOLDER";
+    const LATEST: &str = "CONICFLOW_TEST_LATEST";
     const READS: &str = "it reads";
 
-    pub(super) fn start(root: &Path) -> Self {
+    pub(crate) fn start(root: &Path, delivery: Delivery) -> Self {
         let test = "ports::shared_memory::tests::it_reads_until_it_is_killed";
         let mut command = Command::new(env::current_exe().unwrap());
         command.args(["--exact", test, "--ignored", "--nocapture"]).env(Self::FOLDER, root);
+        if delivery == Delivery::Latest {
+            command.env(Self::LATEST, "");
+        }
         let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
         let mut told = BufReader::new(child.stdout.take().unwrap()).lines().map_while(Result::ok);
         assert!(told.any(|line| line.ends_with(Self::READS)));
         Self(child)
     }
 
-    pub(super) fn kill(mut self) {
+    pub(crate) fn kill(mut self) {
         self.0.kill().unwrap();
         self.0.wait().unwrap();
     }
@@ -136,7 +140,8 @@ impl ReadingProcess {
 #[ignore = "a process that other tests kill"]
 fn it_reads_until_it_is_killed() {
     let Some(root) = env::var_os(ReadingProcess::FOLDER) else { return };
-    let _reader = open(Path::new(&root), "reader").reader::<u16>(&topic(Delivery::Lossless, 3), "reader").unwrap();
+    let delivery = if env::var_os(ReadingProcess::LATEST).is_some() { Delivery::Latest } else { Delivery::Lossless };
+    let _reader = open(Path::new(&root), "reader").reader::<u16>(&topic(delivery, 3), "reader").unwrap();
     println!("{}", ReadingProcess::READS);
     // Its parent says nothing, and lets go of it at the latest when it ends itself.
     io::stdin().read_to_end(&mut Vec::new()).unwrap();
@@ -267,7 +272,7 @@ fn who_waits_sleeps_until_something_comes_and_no_longer_than_told() {
 #[test]
 fn a_reader_that_was_killed_is_cleared_away_by_a_writer_that_waits_for_it() {
     let folder = tempfile::tempdir().unwrap();
-    let process = ReadingProcess::start(folder.path());
+    let process = ReadingProcess::start(folder.path(), Delivery::Lossless);
     let stop = Stop::default();
     let memory = SharedMemory::open(folder.path(), "test", "writer", stop.clone()).unwrap();
     let mut writer = memory.writer::<u16>(&topic(Delivery::Lossless, 3)).unwrap();
@@ -289,7 +294,7 @@ fn a_reader_that_was_killed_is_cleared_away_by_a_writer_that_waits_for_it() {
 #[test]
 fn a_reader_that_was_killed_is_cleared_away_by_a_writer_that_has_nothing_to_do() {
     let folder = tempfile::tempdir().unwrap();
-    let process = ReadingProcess::start(folder.path());
+    let process = ReadingProcess::start(folder.path(), Delivery::Lossless);
     let mut writer = open(folder.path(), "writer").writer::<u16>(&topic(Delivery::Lossless, 3)).unwrap();
     process.kill();
     assert_eq!(writer.connected().len(), 1, "nobody has noticed it yet");
