@@ -5,6 +5,7 @@
 #![allow(unsafe_code)] // the calls of another process are seen by `ptrace`
 
 use crate::bridge::{apart, loopback, machines};
+use crate::processes::{files_in_shared_memory, shared_prefix};
 use crate::stress::{files, prefix};
 use crate::support::{DEADLINE, Ended, Playground, TRACKING, TRACKING_STAGES, environment, signal, wait_until};
 use rustix::process::Signal;
@@ -101,6 +102,7 @@ impl Tracer {
 
     /// Lets a thread go on that stands; kills its process where that has come to the point.
     fn go_on(&mut self, thread: i32, status: i32) {
+        // What it is told by the tracing alone is no signal of its own.
         let (mut passed_on, event) = (libc::WSTOPSIG(status), status >> 16);
         if !self.processes.contains_key(&thread) {
             self.begin(thread);
@@ -117,9 +119,11 @@ impl Tracer {
                 signal(self.processes[&thread].cast_unsigned(), Signal::KILL);
             }
         }
+        if event != 0 || passed_on == CALL {
+            passed_on = 0;
+        }
         let is_watched = self.watched == Some(self.processes[&thread]);
         let request = if is_watched { libc::PTRACE_SYSCALL } else { libc::PTRACE_CONT };
-        let passed_on = if event != 0 || passed_on == CALL { 0 } else { passed_on };
         ptrace(request, thread, 0, passed_on.cast_unsigned() as usize);
     }
 
@@ -142,8 +146,8 @@ fn process_of(thread: i32) -> Option<i32> {
     status.lines().find_map(|line| line.strip_prefix("Tgid:")?.trim().parse().ok())
 }
 
-/// Runs `conicflow` with these arguments to the end of a run, in which the launcher, or the first process of a stage, is killed before one of its calls; with
-/// how many calls that made. `None`: this system lets nobody trace.
+/// Runs `conicflow` with these arguments to the end of a run, in which the launcher, or the first process of a stage, is killed
+/// before one of its calls; with how many calls that made. `None`: this system lets nobody trace.
 fn traced(
     playground: &Playground,
     arguments: &[&str],
@@ -222,16 +226,18 @@ fn a_process_may_be_killed_before_any_call_by_which_it_shares_something() {
 fn a_bridge_may_be_killed_before_any_call_by_which_it_shares_something() {
     let endpoint = loopback();
     let [robot, base] = machines(&apart(&endpoint, &endpoint));
-    for (own, other) in [([&robot, &base], ["robot", "base"]), ([&base, &robot], ["base", "robot"])] {
-        kill_at_points(other[0], |point| {
+    for (machines, names) in [([&robot, &base], ["robot", "base"]), ([&base, &robot], ["base", "robot"])] {
+        kill_at_points(names[0], |point| {
             fs::remove_file(base.path("tracks.jsonl")).ok();
-            let arguments = other.map(|machine| [&RUN[..], &["--machine", machine]].concat());
-            let beside = own[1].start(&arguments[1]);
-            let traced = traced(own[0], &arguments[0], Some("bridge"), point);
-            let (beside, (ended, calls)) = (beside.wait(), traced?);
-            let told = [ended.expect_code(0).stderr, beside.expect_code(0).stderr];
+            let arguments = names.map(|name| [&RUN[..], &["--machine", name]].concat());
+            let other = machines[1].start(&arguments[1]);
+            let (ended, calls) = traced(machines[0], &arguments[0], Some("bridge"), point)?;
+            let told = [ended, other.wait()].map(|ended| ended.expect_code(0).stderr);
             assert!(base.sequences("tracks.jsonl").into_iter().eq(0..FRAMES), "{told:?}");
-            wait_until("all processes are gone", || own.iter().all(|machine| machine.processes().is_empty()));
+            for machine in machines {
+                wait_until("all processes are gone", || machine.processes().is_empty());
+                assert_eq!(files_in_shared_memory(&shared_prefix(machine)), [""; 0]);
+            }
             Some(calls)
         });
     }
