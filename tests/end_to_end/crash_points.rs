@@ -20,6 +20,7 @@ use std::sync::mpsc::channel;
 const POINTS: &str = "CONICFLOW_CRASH_POINTS";
 /// How many calls of each process it is killed before.
 const DEFAULT_POINTS: usize = 4;
+/// A run of so many frames.
 const FRAMES: u64 = 20;
 const RUN: [&str; 5] = ["run", "--frames", "20", "--set", "source.rate_hz=100"];
 

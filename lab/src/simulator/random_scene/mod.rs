@@ -98,8 +98,8 @@ const GROUPS: [Arranged; 14] = [
     (SceneGroup::Hall, "hall", lived_in::hall),
 ];
 
-/// The camera is rolled by at most so many degrees to either side, beside the few that it always may be.
-pub const MAX_ROLL_DEG: f64 = 75.0;
+/// The camera is rolled by at most so many degrees to either side, beside the 6 that it always may be: it stays upright.
+pub const MAX_ROLL_DEG: f64 = 75.0; // [algorithmic]
 
 /// A scene of a group; named `group/seed`.
 pub fn random_scene(group: SceneGroup, seed: u64) -> Scene {
