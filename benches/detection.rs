@@ -204,27 +204,26 @@ fn read(frame: &Frame) -> u64 {
     frame.pixels.iter().map(|&pixel| u64::from(pixel)).sum()
 }
 
-/// Visits the measurements of each row as points in its plane, in metres.
-fn for_each_row(frame: &Frame, mut visit: impl FnMut(&mut dyn Iterator<Item = [f64; 2]>)) {
+/// The measurements of each row as points in its plane, in metres.
+fn rows(frame: &Frame) -> impl Iterator<Item = impl Iterator<Item = [f64; 2]>> {
     let camera = &frame.header.camera;
     let pinhole = Pinhole { fx: camera.fx, fy: camera.fy, cx: camera.cx, cy: camera.cy };
-    for (number, row) in frame.pixels.chunks_exact(camera.width as usize).enumerate() {
+    frame.pixels.chunks_exact(camera.width as usize).enumerate().map(move |(number, row)| {
         let stretch = pinhole.plane(Scan::Row, number as f64).stretch();
-        let mut points = row.iter().enumerate().filter(|(_, pixel)| is_measured(**pixel)).map(|(u, &pixel)| {
+        row.iter().enumerate().filter(|(_, pixel)| is_measured(**pixel)).map(move |(u, &pixel)| {
             let z = f64::from(pixel) * frame.header.depth_scale;
             [z * pinhole.ray_slope(Scan::Row, u as f64), z * stretch]
-        });
-        visit(&mut points);
-    }
+        })
+    })
 }
 
 fn sum_moments(frame: &Frame) -> u64 {
     let mut check = 0;
-    for_each_row(frame, |points| {
+    for points in rows(frame) {
         let mut moments = PlaneMoments::new([0.0, 1.0]);
         points.for_each(|point| moments.add(point));
         check ^= moments.get(4, 0).to_bits();
-    });
+    }
     check
 }
 
@@ -234,7 +233,7 @@ fn fit_every_point(frame: &Frame) -> u64 {
     const FEWEST: f64 = 6.0;
     let noise = frame.header.noise;
     let mut found = 0;
-    for_each_row(frame, |points| {
+    for points in rows(frame) {
         let mut moments = PlaneMoments::new([0.0, 1.0]);
         let mut last = 0.0;
         for [s, t] in points {
@@ -250,6 +249,6 @@ fn fit_every_point(frame: &Frame) -> u64 {
                 moments = PlaneMoments::new([s, t]);
             }
         }
-    });
+    }
     found
 }
