@@ -76,6 +76,8 @@ struct FaultyStage(FaultyStageConfig);
 struct FaultyStageConfig {
     /// The frame at which it panics.
     panic_at: Option<u64>,
+    /// At how many of the frames that follow it panics, too.
+    panics_more: u64,
     /// The frame at which it hangs.
     hang_at: Option<u64>,
     /// The frame from which on, for three frames, it writes what is no object.
@@ -94,9 +96,10 @@ impl Stage for FaultyStage {
     }
 
     fn step(&mut self, input: &Message<Object>, _: &SideInputs, output: &mut Output<Object>) -> Result<(), StageError> {
-        let frame = Some(input.header.sequence);
-        assert!(frame != self.0.panic_at, "this frame is too much");
-        if frame == self.0.hang_at {
+        let frame = input.header.sequence;
+        let panics = self.0.panic_at.map(|first| first..=first + self.0.panics_more);
+        assert!(!panics.is_some_and(|frames| frames.contains(&frame)), "this frame is too much");
+        if Some(frame) == self.0.hang_at {
             loop {
                 std::thread::park();
             }

@@ -14,6 +14,16 @@ const MOST_AT_ONCE: usize = 64;
 /// A stage that has died of a message so often is not given it again.
 const MOST_DEATHS: u64 = 2;
 
+/// What a stage is to do next.
+pub(crate) enum Step<M> {
+    /// To work on this message.
+    Message(M),
+    /// To note that the next message is finished: it has died of that too often.
+    LeftOut,
+    /// To wait: no message is there.
+    Nothing,
+}
+
 /// Takes messages from a reader: checked, in order, the newest only where that is wanted.
 #[cfg_attr(test, derive(Clone))]
 pub struct InputPort<R: Reader> {
@@ -85,31 +95,48 @@ impl<R: Reader> InputPort<R> {
         self.reader.item()
     }
 
-    /// The message to be worked on next, if one is there.
+    /// The next message, if one is there.
     ///
     /// # Errors
     /// The transport failed.
     pub fn take(&mut self) -> Result<Option<R::Message>, PortError> {
-        loop {
-            while self.delivery == Delivery::Latest || self.pending.is_empty() {
-                let Some(message) = self.reader.receive()? else { break };
-                if self.admit(&message) {
-                    self.enqueue(message);
-                }
-            }
-            let Some(message) = self.pending.pop_front() else { return Ok(None) };
-            let (header, (source, writer)) = (message.header(), ends_of_trace(message.header()));
-            let &Header { number, epoch, sequence, .. } = header;
-            self.worked_on.numbers.insert(writer, number);
-            self.worked_on.frames.insert(source, (epoch, sequence));
-            let left_out_by = self.driven.filter(|_| self.reader.begin(writer, number) > MOST_DEATHS);
-            self.count_taken(LastMessage { writer, number, source, epoch, sequence }, left_out_by.is_some());
-            let Some(stage) = left_out_by else { return Ok(Some(message)) };
-            let topic = &self.counts.topic;
-            tracing::error!(
-                "stage `{stage}` leaves out frame {sequence} of topic `{topic}`, which it has died of {MOST_DEATHS} times"
-            );
+        let Some((message, which)) = self.next()? else { return Ok(None) };
+        self.count_taken(which, false);
+        Ok(Some(message))
+    }
+
+    /// The message that the stage which this drives is to work on next.
+    ///
+    /// # Errors
+    /// The transport failed.
+    pub(crate) fn take_step(&mut self) -> Result<Step<R::Message>, PortError> {
+        let Some((message, which)) = self.next()? else { return Ok(Step::Nothing) };
+        let is_deadly = self.reader.begin(which.writer, which.number) > MOST_DEATHS;
+        self.count_taken(which, is_deadly);
+        if !is_deadly {
+            return Ok(Step::Message(message));
         }
+        let (stage, topic, frame) = (self.driven.unwrap_or_default(), &self.counts.topic, which.sequence);
+        tracing::error!(
+            "stage `{stage}` leaves out frame {frame} of topic `{topic}`, which it has died of {MOST_DEATHS} times"
+        );
+        Ok(Step::LeftOut)
+    }
+
+    /// The next message, and which it is.
+    fn next(&mut self) -> Result<Option<(R::Message, LastMessage)>, PortError> {
+        while self.delivery == Delivery::Latest || self.pending.is_empty() {
+            let Some(message) = self.reader.receive()? else { break };
+            if self.admit(&message) {
+                self.enqueue(message);
+            }
+        }
+        let Some(message) = self.pending.pop_front() else { return Ok(None) };
+        let (header, (source, writer)) = (message.header(), ends_of_trace(message.header()));
+        let &Header { number, epoch, sequence, .. } = header;
+        self.worked_on.numbers.insert(writer, number);
+        self.worked_on.frames.insert(source, (epoch, sequence));
+        Ok(Some((message, LastMessage { writer, number, source, epoch, sequence })))
     }
 
     /// Says that this is what drives `stage`.

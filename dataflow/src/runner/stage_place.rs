@@ -1,7 +1,7 @@
 //! The place of a stage in its run: where its messages come from and go to, its record, and whether it is to leave.
 
 use super::handover::{Handover, Watermark};
-use super::input_port::InputPort;
+use super::input_port::{InputPort, Step};
 use super::output_port::OutputPort;
 use super::peers::Peers;
 use super::side_ports::{Inputs, SidePort};
@@ -117,9 +117,18 @@ impl<T: Transport> StagePlace<T> {
         }
         // The writers are looked at first: what they sent before they were gone is then sure to be found.
         let last_call = self.input_port.is_idle() && self.writers_are_gone();
-        if let Some(message) = self.input_port.take()? {
-            self.last_came = Instant::now();
-            return Ok(Look::Message(message));
+        match self.input_port.take_step()? {
+            Step::Message(message) => {
+                self.last_came = Instant::now();
+                return Ok(Look::Message(message));
+            }
+            // It must not come again, should this stage die of the next one.
+            Step::LeftOut => {
+                self.keep_inputs();
+                self.input_port.acknowledge();
+                return Ok(Look::Nothing);
+            }
+            Step::Nothing => {}
         }
         self.input_port.acknowledge();
         self.output_port.catch_up();

@@ -3,7 +3,7 @@
 use super::memory::{Fault, ModelMessage, ModelReader, ModelWriter, Record, STAGES, TOPICS, life, memory};
 use crate::ports::{Delivery, Received, TopicReader};
 use crate::runner::handover::Watermark;
-use crate::runner::input_port::InputPort;
+use crate::runner::input_port::{InputPort, Step};
 use crate::runner::output_port::{OutputPort, Telling, end_of_stream};
 use crate::runner::peers::Peers;
 use crate::stage::Stop;
@@ -212,14 +212,17 @@ impl Process {
         let writer = STAGES[self.stage - 1];
         let is_over = life(writer).is_some_and(Life::is_over);
         let last_call = self.input().is_idle() && (self.input().has_ended(writer) || is_over);
-        let message = self.input().take().expect("the model's memory does not fail");
-        if let Some(message) = message {
-            self.in_hand = Some(message);
-            self.at = At::Working;
-            if memory(|memory| memory.fault == Fault::AcknowledgesFirst) {
-                self.acknowledge();
+        match self.input().take_step().expect("the model's memory does not fail") {
+            Step::Message(message) => {
+                self.in_hand = Some(message);
+                self.at = At::Working;
+                if memory(|memory| memory.fault == Fault::AcknowledgesFirst) {
+                    self.acknowledge();
+                }
+                return;
             }
-            return;
+            Step::LeftOut => return self.keep_record(),
+            Step::Nothing => {}
         }
         self.acknowledge();
         self.output().catch_up();
