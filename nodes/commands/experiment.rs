@@ -1,7 +1,7 @@
 //! Runs experiments: a pipeline file with an `[experiment]` is run once for each combination of the values that it varies, and
 //! what its measuring sinks found becomes one table.
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Context as _, Result, bail, ensure};
 use conicflow_dataflow::pipeline::{Pipeline, Program};
 use conicflow_dataflow::{FileUse, StageSummary, Summary, Table};
 use conicflow_lab::experiment::{Experiment, Results, Variation};
@@ -50,10 +50,17 @@ fn columns(experiment: &Experiment, pipeline: &Pipeline) -> Result<Vec<String>> 
             "measure with a `measurement_sink`, a `section_sink`, an `evaluation_sink` or a `limit_sink`"
         )
     );
-    let varied = experiment.vary.iter().map(|vary| vary.name.clone());
     let times = pipeline.stages.iter().map(|stage| format!("{}_ms", stage.name));
     let fixed = ["stage"].into_iter().chain(measured).chain(["frames_per_s"]).map(str::to_owned);
-    Ok(varied.chain(fixed).chain(times).collect::<IndexSet<_>>().into_iter().collect())
+    let found: IndexSet<_> = fixed.chain(times).collect();
+    let varied: Vec<_> = experiment.vary.iter().map(|vary| vary.name.clone()).collect();
+    if let Some(taken) = varied.iter().find(|name| found.contains(*name)) {
+        bail!(Hinted::new(
+            format!("`vary` has the name `{taken}`, as a column has that is measured"),
+            "give what is varied another name"
+        ));
+    }
+    Ok(varied.into_iter().chain(found).collect())
 }
 
 /// The tables that are printed.

@@ -316,7 +316,7 @@ fn run_experiment(
     experiment::check(experiment, pipeline)?;
     let variations = variations(experiment, &arguments.source)?;
     let (rows, mut results) = (Rows::of(pipeline)?, Results::new(experiment));
-    let interrupted = told_to_end()?;
+    let (interrupted, mut finished) = (told_to_end()?, 0);
     for (index, variation) in variations.iter().enumerate() {
         let overrides: Vec<String> = variation.overrides.iter().cloned().chain(rows.overrides()).collect();
         if !arguments.quiet {
@@ -324,21 +324,34 @@ fn run_experiment(
         }
         let (pipeline, _) = arguments.source.read_with(arguments.machine.as_deref(), &overrides)?;
         let summary = run_once(&pipeline, arguments, true, log)?;
-        if !summary.is_complete() || summary.restarts() > 0 || interrupted.load(Ordering::Relaxed) {
-            tell_incomplete(&summary, variation);
-            return Ok(ExitCode::FAILURE);
+        if let Some(what) = disturbance(&summary, interrupted.load(Ordering::Relaxed)) {
+            say(format_args!("the run with `{}` {what}:\n{summary}", variation.overrides.join(" ")));
+            break;
         }
         results.add(rows.read(variation, &summary)?);
+        finished += 1;
     }
-    let printed = write!(stdout(), "{}{}", experiment::tables(experiment, &results), results.exponents());
-    results.write(&pipeline.base)?;
-    printed?;
-    Ok(ExitCode::SUCCESS)
+    let is_complete = finished == variations.len();
+    if !is_complete && finished > 0 {
+        say(format_args!("the tables and files have the first {finished} of {} runs", variations.len()));
+    }
+    if is_complete || finished > 0 {
+        let printed = write!(stdout(), "{}{}", experiment::tables(experiment, &results), results.exponents());
+        results.write(&pipeline.base)?;
+        printed?;
+    }
+    Ok(if is_complete { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-fn tell_incomplete(summary: &Summary, variation: &Variation) {
-    let what = if summary.is_complete() { "was disturbed: a stage was started anew" } else { "was not finished" };
-    say(format_args!("the run with `{}` {what}:\n{summary}", variation.overrides.join(" ")));
+/// Why the rows of a run do not count, if they do not.
+fn disturbance(summary: &Summary, is_interrupted: bool) -> Option<&'static str> {
+    if is_interrupted {
+        Some("was ended from outside")
+    } else if !summary.is_complete() {
+        Some("was not finished")
+    } else {
+        (summary.restarts() > 0).then_some("was disturbed: a stage was started anew")
+    }
 }
 
 fn run_once(pipeline: &Pipeline, arguments: &RunArguments, quiet: bool, log: &str) -> anyhow::Result<Summary> {

@@ -111,7 +111,7 @@ impl<T: Claim> Stage for EvaluationSink<T> {
 
     fn step(&mut self, input: &Message<T>, _: &SideInputs, output: &mut Output<Nothing>) -> Result<(), StageError> {
         let answers: Vec<_> = input.items.iter().filter_map(Claim::answer).collect();
-        let Some(frame) = self.evaluation.add(input.header, &answers)? else { return Ok(()) };
+        let Some(frame) = self.evaluation.add(input.header, &answers).map_err(stage_error)? else { return Ok(()) };
         output.count("missed", frame.missed().count() as u64);
         output.count("wrong", frame.wrong.len() as u64);
         if let Some(details) = &mut self.details {

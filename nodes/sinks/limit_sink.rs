@@ -2,7 +2,7 @@
 //! quantity of each object gives one row of an `[experiment]`. The measuring itself is [`conicflow_lab::score::limit`].
 
 use super::measurement_sink::write_rows;
-use crate::faults::refuse_restart;
+use crate::faults::{refuse_restart, stage_error};
 use conicflow_dataflow::{ConfigFault, Context, FileUse, Output, SideInputs, Stage, StageError};
 use conicflow_lab::score::truth::load_scene;
 use conicflow_lab::score::{Claim, Limit, RenderedTruth, Tolerances};
@@ -78,7 +78,7 @@ impl Stage for LimitSink {
         output: &mut Output<Nothing>,
     ) -> Result<(), StageError> {
         let answers: Vec<_> = input.items.iter().filter_map(Claim::answer).collect();
-        output.count("missed", self.limit.add(input.header, &answers)?);
+        output.count("missed", self.limit.add(input.header, &answers).map_err(stage_error)?);
         Ok(())
     }
 

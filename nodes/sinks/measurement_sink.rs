@@ -6,7 +6,7 @@
 //! The tolerances are wide: a radius that is far off is to be measured, not to be turned down.
 
 use super::json_lines::JsonLines;
-use crate::faults::refuse_restart;
+use crate::faults::{refuse_restart, stage_error};
 use anyhow::Result;
 use conicflow_dataflow::{ConfigFault, Context, FileUse, Output, SideInputs, Stage, StageError};
 use conicflow_lab::score::truth::load_scene;
@@ -95,7 +95,7 @@ impl<T: Claim> Stage for MeasurementSink<T> {
 
     fn step(&mut self, input: &Message<T>, _: &SideInputs, output: &mut Output<Nothing>) -> Result<(), StageError> {
         let answers: Vec<_> = input.items.iter().filter_map(Claim::answer).collect();
-        let observations = self.measurement.add(input.header, &answers)?;
+        let observations = self.measurement.add(input.header, &answers).map_err(stage_error)?;
         output.count("missed", observations.iter().filter(|observation| observation.seen.is_none()).count() as u64);
         if let Some(trace) = &mut self.trace {
             trace.write(&observations)?;

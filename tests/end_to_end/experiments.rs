@@ -1,8 +1,10 @@
 //! The paper's experiments, each in a short form: the files of `experiments/` as they are, fewer frames and values.
 
-use crate::support::{Playground, Started};
+use crate::support::{Playground, Started, signal};
 use conicflow_lab::score::truth::load_scene;
+use conicflow_lab::simulator::scene::Scene;
 use conicflow_lab::simulator::scene_values::Values;
+use rustix::process::Signal;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
@@ -250,6 +252,33 @@ fn a_wrong_experiment_is_refused() {
             ended.stderr
         );
     }
+    let playground = self::playground("accuracy", &[("name = \"distance\"", "name = \"n\"")]);
+    let ended = playground.conicflow(&["validate", "accuracy.toml"]).expect_code(2);
+    ended.expect_told(&["`vary` has the name `n`, as a column has that is measured"]);
+}
+
+/// To start the evaluation anew would not help.
+#[test]
+fn a_run_of_frames_whose_truth_nobody_told_ends_at_the_first_of_them() {
+    let playground = playground("recording", &[]);
+    playground.record_with_camera(Scene::built_in("tabletop").unwrap().unwrap(), 5, 3);
+    let ended = playground.conicflow(&["run", "recording.toml", "--set", "source.path=frames"]).expect_code(1);
+    ended.expect_told(&["the truth of the frames of `0.png` is not known", "`truth` the truth file of a recording"]);
+    assert_eq!(ended.stage("evaluation").starts, 1, "{}", ended.stderr);
+}
+
+/// What was measured until then stays.
+#[test]
+fn an_experiment_that_is_ended_from_outside_shows_the_runs_before() {
+    let edits = [("[1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0]", "[2.0, 2.5]"), ("from_s = 1.0 ", "from_s = 0.0 ")];
+    let playground = playground("accuracy", &edits);
+    let mut run = playground.start(&["run", "accuracy.toml", "--frames", "200"]);
+    run.wait_for_text("run 3 of 4");
+    signal(run.id(), Signal::INT);
+    let ended = run.wait().expect_code(1);
+    ended.expect_told(&["was ended from outside", "the tables and files have the first 2 of 4 runs"]);
+    let rows = playground.lines("results/accuracy.csv");
+    assert!(rows.len() == 5 && rows[1..].iter().all(|row| row.starts_with("2,")), "{rows:?}");
 }
 
 /// The command of each frame reaches the camera before the next one; how soon is all that may differ from run to run.

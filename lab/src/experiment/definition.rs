@@ -6,7 +6,7 @@ use anyhow::{Context as _, Result, bail, ensure};
 use conicflow_messages::Hinted;
 use serde::Deserialize;
 use serde_json::Value as Json;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// An experiment.
@@ -148,6 +148,7 @@ impl Experiment {
                 )
             );
         }
+        experiment.check_varied()?;
         if let Some(paper) = &experiment.paper {
             let width = paper.r#match.len() + paper.columns.len();
             let odd = paper.rows.iter().position(|row| row.len() != width);
@@ -160,6 +161,30 @@ impl Experiment {
             );
         }
         Ok(experiment)
+    }
+
+    /// Refuses a column, or a parameter, of which two entries of `vary` would have one thing each.
+    fn check_varied(&self) -> Result<()> {
+        let mut names = BTreeSet::new();
+        if let Some(twice) = self.vary.iter().find(|vary| !names.insert(&vary.name)) {
+            bail!(Hinted::new(
+                format!("two entries of `vary` have the name `{}`", twice.name),
+                "each is a column of the table: give them different names"
+            ));
+        }
+        let mut by_parameter = BTreeMap::new();
+        for vary in &self.vary {
+            let of_cases: BTreeSet<_> = vary.cases.iter().flat_map(|case| case.set.keys()).collect();
+            for parameter in vary.set.iter().chain(of_cases) {
+                if let Some(other) = by_parameter.insert(parameter, &vary.name) {
+                    bail!(Hinted::new(
+                        format!("`vary` sets `{parameter}` twice, in `{other}` and in `{}`", vary.name),
+                        "of two values for one run the last would count: vary each parameter once"
+                    ));
+                }
+            }
+        }
+        Ok(())
     }
 
     /// Refuses columns that no row will have, those that are not `known`.
@@ -310,6 +335,14 @@ mod tests {
     fn what_cannot_be_is_refused() {
         assert!(experiment("vary = [{ name = \"d\", set = [\"a.b\"] }]").is_err(), "no values");
         assert!(experiment("colums = []").is_err());
+        let twice = |first: &str, second: &str| {
+            let of = |(name, key)| format!("{{ name = \"{name}\", set = [\"{key}\"], values = [1, 2] }}");
+            let [first, second] = [first, second].map(|entry| of(entry.split_once(' ').unwrap()));
+            experiment(&format!("vary = [{first}, {second}]")).map(drop).map_err(|error| error.to_string())
+        };
+        assert_eq!(twice("n a.b", "m a.c"), Ok(()));
+        assert_eq!(twice("n a.b", "m a.b"), Err("`vary` sets `a.b` twice, in `n` and in `m`".into()));
+        assert_eq!(twice("n a.b", "n a.c"), Err("two entries of `vary` have the name `n`".into()));
         let odd = "paper = { match = [\"d\"], columns = [\"r\"], rows = [[1.0, 2.0], [1.0]] }";
         assert!(experiment(odd).unwrap_err().to_string().starts_with("row 2 of"));
     }

@@ -177,7 +177,7 @@ impl RenderedTruth {
         }
         match Scene::built_in(name) {
             Some(scene) => scene,
-            None => bail!(Hinted::new(
+            None => bail!(Hinted::lasting(
                 format!("the truth of the frames of `{}` is not known", name.escape_debug()),
                 "`scene` names the scene file of the synthetic_source, `truth` the truth file of a recording"
             )),
