@@ -8,7 +8,7 @@ use crate::sources::WrittenIn;
 use crate::sources::image_source::{self, Playback, reading};
 use crate::sources::mcap_source::{self, Replay};
 use anyhow::{Context as _, Result, bail};
-use clap::Args;
+use clap::{ArgGroup, Args};
 use conicflow_dataflow::{AnyMessage, FileUse, ItemType};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::{NoiseConfig, NoiseName};
@@ -26,6 +26,7 @@ const REASONS: usize = 5;
 
 /// What is looked at, and where the results go.
 #[derive(Args)]
+#[command(group = ArgGroup::new("drawn").multiple(true))]
 pub struct DetectArguments {
     /// A depth image (16-bit PNG, TIFF, NPY, organised PCD), a folder of them, TUM RGB-D folders included, or an MCAP recording
     path: PathBuf,
@@ -47,19 +48,19 @@ pub struct DetectArguments {
     #[arg(long, value_name = "NAME")]
     noise: Option<NoiseName>,
     /// Writes a picture of each frame into this folder: the depth in colours, the objects over it
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", group = "drawn")]
     pictures: Option<PathBuf>,
     /// Writes one moving picture (APNG) of all frames into this file, up to 300 of them, for a README
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", group = "drawn")]
     moving: Option<PathBuf>,
     /// Its width in pixels; that of the frames where they are narrower
-    #[arg(long, value_name = "PX", default_value_t = 480, value_parser = clap::value_parser!(u32).range(16..=1920))]
+    #[arg(long, value_name = "PX", default_value_t = 480, requires = "moving", value_parser = clap::value_parser!(u32).range(16..=1920))]
     moving_width: u32,
     /// Draws every so many frames
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 1, requires = "drawn", value_parser = clap::value_parser!(u64).range(1..))]
     every: u64,
     /// How many times as large as the frames the pictures are
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=8))]
+    #[arg(long, value_name = "N", default_value_t = 1, requires = "pictures", value_parser = clap::value_parser!(u32).range(1..=8))]
     zoom: u32,
     /// Puts so many pictures, smaller, onto one contact sheet each, in the same folder
     #[arg(long, value_name = "N", requires = "pictures", value_parser = clap::value_parser!(u64).range(1..=100))]

@@ -7,7 +7,7 @@ use conicflow_dataflow::RunOptions;
 use conicflow_dataflow::pipeline::{Pipeline, Report, SourceText};
 use conicflow_messages::Hinted;
 use std::fmt::Display;
-use std::io::{Write, stderr};
+use std::io::{ErrorKind, Write, stderr};
 use std::path::{Path, PathBuf};
 
 const BUILT_IN: &str = include_str!("../../pipeline.toml");
@@ -54,7 +54,13 @@ impl FileArguments {
             return Ok((source, std::env::current_dir()?));
         };
         let text = std::fs::read_to_string(file).map_err(|error| {
-            let hint = "without a file it is ./pipeline.toml, or else the built-in pipeline";
+            let hint = match error.kind() {
+                // A folder, or a recording.
+                ErrorKind::IsADirectory | ErrorKind::InvalidData => {
+                    "`conicflow detect` takes frames and recordings; a pipeline file names them with --set source.path=.."
+                }
+                _ => "without a file it is ./pipeline.toml, or else the built-in pipeline",
+            };
             anyhow!(Hinted::new(format!("cannot read the pipeline file `{}`: {error}", file.display()), hint))
         })?;
         let folder = file.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));

@@ -3,6 +3,7 @@
 use super::invocation::say;
 use super::topic::{PipelineName, give_way, topics};
 use crate::NODES;
+use crate::recording::files::is_recording;
 use crate::recording::recorder::{Recorded, Recorder};
 use crate::sinks::mcap_sink;
 use anyhow::{Context as _, Result, bail};
@@ -42,6 +43,10 @@ pub fn record(arguments: &RecordArguments) -> Result<()> {
     if arguments.out.exists() {
         let what = format!("`{}` is there already", arguments.out.display());
         bail!(Hinted::new(what, "record into another file, or remove it"));
+    }
+    if !is_recording(&arguments.out) {
+        let what = format!("`{}` does not end with `.mcap`, by which a recording is known", arguments.out.display());
+        bail!(Hinted::new(what, format!("name it `{}`", arguments.out.with_extension("mcap").display())));
     }
     for (option, number) in
         [("split-mb", arguments.split_mb), ("split-s", arguments.split_s), ("limit-mb", arguments.limit_mb)]

@@ -3,9 +3,10 @@
 use super::topic::give_way;
 use crate::viewing::live::Live;
 use crate::viewing::player::Player;
-use anyhow::Result;
+use anyhow::{Result, bail};
 use clap::Args;
 use conicflow_dataflow::told_to_end;
+use conicflow_messages::Hinted;
 use conicflow_view::{Display, Listen, Page, Server};
 use std::io::{Write, stdout};
 use std::path::PathBuf;
@@ -42,6 +43,11 @@ pub fn view(arguments: &ViewArguments) -> Result<()> {
     let display = Arc::new(Display::default());
     let listen = Listen::read(arguments.listen.as_deref(), arguments.token.as_deref())?;
     if let Some(file) = &arguments.file {
+        let missing = [Some(file), arguments.against.as_ref()].into_iter().flatten().find(|file| !file.exists());
+        if let Some(missing) = missing {
+            let what = format!("there is no recording `{}`", missing.display());
+            bail!(Hinted::new(what, "name an MCAP file, or a folder of them; without one the page shows what runs"));
+        }
         let mut player =
             Player::open(file, arguments.topic.as_deref(), arguments.against.as_deref(), Arc::clone(&display))?;
         let _server = offer(&listen, display)?;

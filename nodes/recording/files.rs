@@ -198,7 +198,9 @@ fn refuse_other_formats(path: &Path) -> Result<()> {
         }
         _ => return Ok(()),
     };
-    let to = if kind.contains("rosbag2") { from.with_extension("mcap") } else { stem };
+    // `.` has no name to put an ending behind.
+    let named = if from.file_name().is_some() { from.to_owned() } else { fs::canonicalize(from)? };
+    let to = if kind.contains("rosbag2") { named.with_extension("mcap") } else { stem };
     bail!(Hinted::new(
         format!("`{shown}` is {kind}, expected MCAP"),
         format!(

@@ -28,7 +28,7 @@ pub(crate) fn intrinsics(camera: &Bound<'_, PyAny>) -> PyResult<Intrinsics> {
     if intrinsics.are_usable() {
         Ok(intrinsics)
     } else {
-        let what = "`camera`: focal lengths are at least one pixel, and all four numbers are finite";
+        let what = "`camera`: focal lengths are 1 to 1,000,000 pixels, and a principal point is no farther away";
         Err(fault::value(format!("{what}, but they are {numbers:?}"), CAMERA))
     }
 }

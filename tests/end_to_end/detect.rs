@@ -46,6 +46,28 @@ fn detect_finds_what_the_pipeline_finds_to_the_bit() {
 }
 
 #[test]
+fn what_says_how_to_draw_wants_something_to_be_drawn() {
+    let playground = Playground::new();
+    let camera = record(&playground, 2);
+    for how in [["--zoom", "2"], ["--every", "2"], ["--moving-width", "100"], ["--sheet", "2"]] {
+        let ended = playground.conicflow(&[&["detect", "frames", "--camera", &camera], &how[..]].concat());
+        ended.expect_code(2).expect_told(&["the following required arguments were not provided"]);
+    }
+}
+
+#[test]
+fn frames_that_lie_deeper_and_links_that_lead_nowhere_are_told_of() {
+    let playground = Playground::new();
+    fs::create_dir_all(playground.path("nest/seq")).unwrap();
+    std::os::unix::fs::symlink("/nowhere/1.png", playground.path("nest/1.png")).unwrap();
+    playground.conicflow(&["detect", "nest"]).expect_code(2).expect_told(&[
+        "and no other files; 1 folders are in it, such as `seq`: name that which has them; 1 links lead nowhere",
+    ]);
+    let taken_for_a_file = playground.conicflow(&["run", "nest"]).expect_code(2);
+    taken_for_a_file.expect_told(&["hint: `conicflow detect` takes frames and recordings"]);
+}
+
+#[test]
 fn results_and_pictures_go_where_they_are_asked_for() {
     let playground = Playground::new();
     let camera = record(&playground, 2);

@@ -144,6 +144,8 @@ fn an_onlooker_records_a_running_pipeline_until_it_ends() {
     recorder.wait_for_text("records `depth`, `objects` into `part.mcap`");
     let there = playground.conicflow(&["record", "-o", "part.mcap"]).expect_code(2);
     there.expect_told(&["`part.mcap` is there already\n  hint: "]);
+    let unnamed = playground.conicflow(&["record", "-o", "other.txt"]).expect_code(2);
+    unnamed.expect_told(&["`other.txt` does not end with `.mcap`", "hint: name it `other.mcap`"]);
     let unknown = playground.conicflow(&["record", "object", "-o", "other.mcap"]).expect_code(2);
     unknown.expect_told(&["has no topic `object`\n  hint: did you mean `objects`?"]);
     let newest = playground.newest("tracks.jsonl");
@@ -175,6 +177,11 @@ fn what_cannot_be_replayed_is_told() {
     let bag = playground.conicflow(&["detect", "old.bag"]).expect_code(2);
     let command = "hint: pip install rosbags && rosbags-convert --src 'old.bag' --dst 'old' --dst-storage mcap";
     bag.expect_told(&[command]);
+    // From within the folder of a bag, which has no name there.
+    playground.write("bag_0.db3", "SQLite format 3");
+    let folder = playground.path(".").canonicalize().unwrap();
+    let to = format!("rosbags-convert --src '.' --dst '{}.mcap' --dst-storage mcap", folder.display());
+    playground.conicflow(&["detect", "bag_0.db3"]).expect_code(2).expect_told(&[&to]);
 }
 
 /// Python with `rosbags`, `mcap` and `mcap-ros2-support`; none, said loudly, where there is no such.

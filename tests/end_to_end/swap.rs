@@ -3,6 +3,7 @@
 use crate::processes::{at_work, shared_files, stages_of, wait_for_lines};
 use crate::soak::usage;
 use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, TRACKING_TOPICS, signal};
+use conicflow_lab::simulator::scene::Scene;
 use rustix::process::Signal;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -127,6 +128,16 @@ fn a_source_that_cannot_begin_gives_its_place_back() {
 }
 
 #[test]
+fn a_source_whose_frames_were_all_sent_before_it_came_says_so() {
+    let (playground, run) = at_work(TRACKING, 30);
+    playground.record_with_camera(Scene::built_in("tabletop").unwrap().unwrap(), 5, 2);
+    playground.conicflow(&["swap", "source", "--node", "image_source", "--set", "path=frames"]).expect_code(0);
+    let ended = run.wait().expect_code(0);
+    ended.expect_told(&["stage `source` ends with nothing made: ", "goes on behind what that has sent"]);
+    playground.expect_each_frame(&ended);
+}
+
+#[test]
 fn an_answer_that_cannot_be_written_comes_later_and_ends_no_run() {
     let (playground, mut run) = at_work(TRACKING, 30);
     let in_the_way = playground.runtime().join("run/tracking/swap.answer.new");
@@ -147,7 +158,7 @@ fn used(stages: &BTreeMap<String, u32>) -> BTreeSet<PathBuf> {
 /// What a neighbour's memory may grow by: a few pages that it had not come to use before.
 const SLACK_KB: u64 = 512;
 
-/// As above, the middle one counts of what is missing at each swap.
+/// The middle one counts of what is missing at each swap.
 #[test]
 fn a_hundred_swaps_of_a_live_run_cost_no_memory_and_three_frames_each_at_most() {
     let (playground, mut run) = at_work(&TRACKING.replace("lossless", "latest"), 30);

@@ -1,7 +1,7 @@
 //! Faulty pipeline files: each in `tests/faulty_pipelines` lies beside the exact text that it is refused with, and nothing
 //! starts from it. `UPDATE_EXPECT=1` writes the texts anew, to be read before they are kept.
 
-use crate::support::{Ended, Playground, Started};
+use crate::support::{Ended, Playground, RECORDING, Started};
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -170,4 +170,18 @@ fn more_stages_than_a_run_can_start_are_refused() {
     let ended = Playground::with_pipeline(&with(501)).conicflow(&["validate"]).expect_code(2);
     ended.expect_told(&["the pipeline has 501 stages, at most 500 can run"]);
     Playground::with_pipeline(&with(500)).conicflow(&["validate"]).expect_code(0);
+}
+
+/// Recordings are often called by their date.
+#[test]
+fn text_that_looks_like_a_number_or_a_date_is_told_how_to_be_written() {
+    let playground = Playground::with_pipeline(RECORDING);
+    for name in ["20240501_120000", "2024-05-01", "true"] {
+        let set = format!("source.path={name}");
+        let ended = playground.conicflow(&["validate", "--set", &set]).expect_code(2);
+        ended.expect_told(&[&format!("hint: text goes in quotes: --set 'source.path=\"{name}\"'; ")]);
+        let quoted = format!("source.path=\"{name}\"");
+        let ended = playground.conicflow(&["validate", "--set", &quoted]);
+        assert!(!ended.stderr.contains("wants a string"), "{}", ended.stderr);
+    }
 }

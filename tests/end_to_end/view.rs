@@ -347,8 +347,8 @@ fn a_recording_that_ends_in_the_middle_and_one_of_depth_alone_are_shown() {
     assert!(json["frame"]["kind"].is_null() && !pixels.is_empty());
     assert!(json["about"]["notice"].as_str().unwrap().contains("depth images alone"));
 
-    let refused = playground.conicflow(&["view", "none.mcap"]);
-    assert!(refused.code != Some(0) && refused.stderr.contains("none.mcap"), "{}", refused.stderr);
+    let refused = playground.conicflow(&["view", "none.mcap"]).expect_code(2);
+    refused.expect_told(&["there is no recording `none.mcap`", "hint: name an MCAP file"]);
 }
 
 #[test]

@@ -217,7 +217,9 @@ impl Summary {
 /// What a stage found in how many frames; `None` where it is not one that finds objects.
 fn found(planned: &PlannedStage, status: &Status) -> Option<String> {
     let item = planned.wiring.output.as_ref().and_then(|topic| topic.item.as_ref());
-    let finds = item.is_some_and(ItemType::is_counted) && !planned.is_bridge() && status.steps > 0;
+    // A source hands on what others have found.
+    let finds =
+        item.is_some_and(ItemType::is_counted) && !planned.is_bridge() && !planned.is_source() && status.steps > 0;
     let found: Vec<_> = used(&status.found).map(|(label, count)| format!("{} {count}", plain(label))).collect();
     match found.is_empty() {
         true => finds.then(|| format!("nothing in {} frames", status.steps)),

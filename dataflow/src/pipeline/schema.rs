@@ -66,7 +66,12 @@ impl<'a> Checker<'a> {
         let fitting: Vec<_> = alternatives.iter().copied().filter(|schema| fits_type(value, schema)).collect();
         if fitting.is_empty() {
             let what = format!("`{key}` wants {}, this is {}", expected(&alternatives), value.type_name());
-            return self.fault(&value.place, what, described);
+            let is_text = |kind: &str| kind == "string" || kind == "null";
+            let is_free_text =
+                |schema: &Json| type_names(schema).into_iter().all(is_text) && allowed_words(schema).is_empty();
+            let wants_text = alternatives.iter().all(|schema| is_free_text(schema));
+            let hint = value.quoted().filter(|_| wants_text).map(|quoted| format!("{quoted}; {described}"));
+            return self.fault(&value.place, what, hint.unwrap_or(described));
         }
         let words: Vec<&str> = fitting.iter().flat_map(|schema| allowed_words(schema)).collect();
         if let (Some(word), false) = (value.as_str(), words.is_empty()) {

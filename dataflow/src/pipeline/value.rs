@@ -7,6 +7,8 @@ use std::sync::Arc;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
+/// What sets a parameter on the command line.
+const OVERRIDE: &str = "--set";
 /// Keys of a stage that stay when another node takes the place of its own.
 const KEYS_OF_ANY_STAGE: [&str; 6] = ["input", "inputs", "output", "machine", "restart", "env"];
 
@@ -118,6 +120,19 @@ impl Value {
         if let Content::String(text) = &self.content { Some(text) } else { None }
     }
 
+    /// How a number, a date or the like is written where it is meant as text.
+    pub(crate) fn quoted(&self) -> Option<String> {
+        if matches!(self.content, Content::String(_) | Content::Array(_) | Content::Table(_)) {
+            return None;
+        }
+        let Place { source, span } = &self.place;
+        let (key, text) = (&source.text[..span.start], source.text[span.clone()].trim());
+        Some(match source.name.as_str() {
+            OVERRIDE => format!("text goes in quotes: {OVERRIDE} '{key}\"{text}\"'"),
+            _ => format!("text goes in quotes: \"{text}\""),
+        })
+    }
+
     /// The same value without places.
     pub(crate) fn to_json(&self) -> serde_json::Value {
         match &self.content {
@@ -197,7 +212,7 @@ fn convert(source: &Arc<SourceText>, value: &Spanned<DeValue<'_>>) -> Value {
 /// Writes `STAGE.KEY=VALUE` into a document. A value that is not TOML is taken as a string, so that quotes need not be
 /// quoted for a shell.
 pub(crate) fn apply_override(document: &mut Table, text: &str, faults: &mut Vec<Diagnostic>) {
-    let source = Arc::new(SourceText { name: "--set".to_owned(), text: text.to_owned() });
+    let source = Arc::new(SourceText { name: OVERRIDE.to_owned(), text: text.to_owned() });
     let whole = Place { source: Arc::clone(&source), span: 0..text.len() };
     let path_and_value = text.split_once('=').map(|(path, value)| (path.split('.').map(str::trim).collect(), value));
     let Some((path, value)): Option<(Vec<_>, _)> = path_and_value.filter(|(path, _): &(Vec<_>, _)| path.len() >= 2)

@@ -52,10 +52,12 @@ pub(crate) fn run_source<T: Transport>(new: &NewSource<'_>, mut runtime: StageRu
     resume(&mut runtime);
     let source = new.make(&runtime.context)?;
     let memory_trim = MemoryTrim::of(&runtime);
+    let (stage, resumed_at) = (runtime.context.stage.clone(), runtime.context.resume_at);
     let place = SourcePlace::begin(runtime, side_inputs, output_port, source.total(), source.rhythm())?;
     let mut running = SourceLoop { source, output, place, memory_trim };
     while running.place.is_due() && running.make_one()? {}
     let SourceLoop { mut source, place, .. } = running;
+    place.tell_if_nothing_was_left(&stage, resumed_at);
     place.end(|| source.finish())
 }
 
@@ -110,6 +112,17 @@ impl<T: Transport> SourcePlace<T> {
         }
         self.pace.wait_to_make(&mut self.record, || self.output_port.catch_up());
         !self.stop.requested()
+    }
+
+    /// Warns where a source that took another's place, or was started anew, has made nothing: what it has was sent before.
+    fn tell_if_nothing_was_left(&self, stage: &str, resumed_at: u64) {
+        let is_due = !self.stop.requested() && self.frames.is_none_or(|frames| self.made < frames);
+        if is_due && resumed_at > 0 && self.made == resumed_at {
+            tracing::warn!(
+                "stage `{stage}` ends with nothing made: {resumed_at} messages of it were sent before, and it has no more\n  \
+                 hint: a source that takes another's place goes on behind what that has sent"
+            );
+        }
     }
 
     /// Waits until what was made is due to be sent, where its stamp tells; false if it is not to be sent any more.

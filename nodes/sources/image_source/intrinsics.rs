@@ -6,6 +6,8 @@ use anyhow::{Context as _, Result, anyhow, bail, ensure};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_messages::{DEPTH_SCALES_M, Hinted};
 use serde::Deserialize;
+use serde_json::Value as Json;
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
@@ -54,6 +56,7 @@ impl CameraFile {
         File::open(path)?.take(MAX_JSON_BYTES + 1).read_to_string(&mut text)?;
         ensure!(text.len() as u64 <= MAX_JSON_BYTES, "it is longer than {MAX_JSON_BYTES} bytes, and no camera's");
         let json: CameraJson = serde_json::from_str(&text)?;
+        json.check_others()?;
         let intrinsics = json.intrinsics()?;
         ensure!(
             intrinsics.are_usable(),
@@ -100,9 +103,34 @@ struct CameraJson {
     depth_scale: Option<f64>,
     /// Open3D's: 3x3, column-major.
     intrinsic_matrix: Option<Vec<f64>>,
+    #[serde(flatten)]
+    others: BTreeMap<String, Json>,
 }
 
+/// The keys that are read.
+const KEYS: [&str; 8] = ["width", "height", "fx", "fy", "cx", "cy", "depth_scale", "intrinsic_matrix"];
+/// Keys that stand for a lens's distortion in what others write, beside those that say so.
+const DISTORTION: [&str; 3] = ["d", "coeffs", "dist"];
+
 impl CameraJson {
+    /// Refuses what would change the camera, were it read: a key that is written in another way, and the distortion of a lens.
+    fn check_others(&self) -> Result<()> {
+        let plain = |key: &str| key.chars().filter(char::is_ascii_alphanumeric).collect::<String>().to_lowercase();
+        for (key, value) in &self.others {
+            let key_read = KEYS.iter().find(|known| plain(known) == plain(key));
+            ensure!(key_read.is_none(), "the key `{key}` is not read, expected `{}`", key_read.unwrap_or(&""));
+            let is_distortion = DISTORTION.contains(&plain(key).as_str()) || plain(key).starts_with("distort");
+            ensure!(
+                !is_distortion || !is_any_number(value),
+                Hinted::new(
+                    format!("the images are distorted (`{key}`: {value}), expected those of a pinhole camera"),
+                    "rectify the frames; if they are, take the key out of the file"
+                )
+            );
+        }
+        Ok(())
+    }
+
     fn intrinsics(&self) -> Result<Intrinsics> {
         if let Some(matrix) = &self.intrinsic_matrix {
             return from_matrix(matrix);
@@ -114,6 +142,16 @@ impl CameraJson {
             cx: number("cx", self.cx)?,
             cy: number("cy", self.cy)?,
         })
+    }
+}
+
+/// Whether a value is a number other than 0, or holds one.
+fn is_any_number(value: &Json) -> bool {
+    match value {
+        Json::Number(number) => number.as_f64() != Some(0.0),
+        Json::Array(values) => values.iter().any(is_any_number),
+        Json::Object(values) => values.values().any(is_any_number),
+        _ => false,
     }
 }
 
@@ -168,6 +206,24 @@ mod tests {
     fn told(text: &str) -> String {
         let error = format!("{:#}", found("camera.json", text).unwrap_err());
         error.split_once("camera.json`: ").unwrap().1.to_owned()
+    }
+
+    #[test]
+    fn what_would_change_the_camera_were_it_read_is_refused_and_notes_are_not() {
+        let with = |entry: &str| MINE.replace('}', &format!(", {entry}}}"));
+        for (entry, expected) in [
+            (r#""depthScale": 0.001"#, "the key `depthScale` is not read, expected `depth_scale`"),
+            (r#""FX": 5.0"#, "the key `FX` is not read, expected `fx`"),
+            (r#""distortion": [0.0, 0.2]"#, "the images are distorted (`distortion`: [0.0,0.2]), expected those of"),
+            (r#""coeffs": [0.1]"#, "the images are distorted (`coeffs`: [0.1])"),
+            (r#""distortion_coefficients": { "data": [1e-3] }"#, "the images are distorted"),
+        ] {
+            let told = told(&with(entry));
+            assert!(told.starts_with(expected), "{entry}: {told}");
+        }
+        for entry in [r#""note": "by hand", "serial": 7"#, r#""distortion": [0, 0.0], "distortion_model": "none""#] {
+            assert_eq!(found("camera.json", &with(entry)).unwrap().unwrap().intrinsics, EXPECTED, "{entry}");
+        }
     }
 
     #[test]

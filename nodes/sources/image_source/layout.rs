@@ -237,6 +237,22 @@ fn other_kind(path: &Path) -> String {
     if is_jpeg { "JPEG".to_owned() } else { format!("`.{}`", ending.to_string_lossy()) }
 }
 
+/// What is in a folder beside files: other folders, of which only `depth` is looked into, and links that lead nowhere.
+fn other_entries(folder: &Path) -> String {
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    let (there, lost): (Vec<_>, Vec<_>) = entries.partition(|path| path.exists());
+    let mut folders: Vec<_> = there.iter().filter(|path| path.is_dir()).map(|path| file_name(path)).collect();
+    folders.sort();
+    let mut text = String::new();
+    if let Some(first) = folders.first() {
+        text += &format!("; {} folders are in it, such as `{first}`: name that which has them", folders.len());
+    }
+    if !lost.is_empty() {
+        text += &format!("; {} links lead nowhere", lost.len());
+    }
+    text
+}
+
 /// The files of a folder, sorted by what they hold.
 struct Listing {
     folder: PathBuf,
@@ -284,10 +300,11 @@ impl Listing {
     fn without_frames(&self) -> String {
         let folder = self.folder.display();
         let kinds: Vec<_> = self.others.iter().map(|(what, count)| format!("{count} of {what}")).collect();
-        match kinds.is_empty() {
+        let what = match kinds.is_empty() {
             true => format!("no depth frames in `{folder}`, and no other files"),
             false => format!("no depth frames in `{folder}`, only other images and files: {}", kinds.join(", ")),
-        }
+        };
+        format!("{what}{}", other_entries(&self.folder))
     }
 
     /// Where some names say `depth`, the others are infrared images, labels or the like.

@@ -9,11 +9,11 @@ use tiff::ColorType;
 use tiff::decoder::{Decoder, DecodingResult};
 
 /// What to do about a TIFF that cannot be read.
-pub(super) const TIFF_HINT: &str =
-    "depth images are TIFFs with one channel of 16-bit whole numbers or 32-bit floating point; write this one anew";
+pub(super) const TIFF_HINT: &str = "depth images are TIFFs with one channel of 16-bit whole numbers or 32-bit floating point, \
+                                    uncompressed or compressed by LZW, Deflate or PackBits; write this one anew";
 /// What to do about an NPY file that cannot be read.
 pub(super) const NPY_HINT: &str = "depth images are arrays of rows and columns, of uint16 or float32; \
-                                   `np.save(path, np.ascontiguousarray(depth))` writes one";
+                                   `np.save(path, np.ascontiguousarray(depth, dtype=np.uint16))` writes one";
 
 /// The depths of an image, row by row.
 #[derive(Clone, Debug, PartialEq)]
@@ -67,6 +67,8 @@ fn tiff_size_of<R: std::io::Read + std::io::Seek>(decoder: &mut Decoder<R>) -> R
         matches!(color, ColorType::Gray(16 | 32 | 64)),
         Hinted::new(format!("this is no depth image ({color:?}), expected one channel"), TIFF_HINT)
     );
+    let what = "a TIFF of several pages, expected one depth image";
+    ensure!(!decoder.more_images(), Hinted::new(what, "write each page into a file of its own"));
     let size = decoder.dimensions().context("the header of the TIFF")?;
     few_enough(size)
 }
@@ -104,7 +106,7 @@ fn npy_size_of(array: &Array) -> Result<(u32, u32)> {
         bail!(Hinted::new(format!("an array of shape {shape:?}, expected rows and columns"), NPY_HINT));
     };
     let is_depth = ["u2", "f4", "f8"].iter().any(|known| number.trim_start_matches(['<', '>', '=']) == *known);
-    ensure!(is_depth, Hinted::new(format!("an array of '{number}', expected uint16 or float32"), NPY_HINT));
+    ensure!(is_depth, Hinted::new(format!("an array of '{number}', expected uint16, float32 or float64"), NPY_HINT));
     let is_by_columns = array.is_by_columns && rows > 1 && columns > 1;
     ensure!(!is_by_columns, Hinted::new("an array that lies column by column, expected row by row", NPY_HINT));
     let side = |length: u64| u32::try_from(length).with_context(|| format!("{length} pixels in a row or column"));
@@ -218,12 +220,21 @@ mod tests {
         let colour = vec![7_u8; 3 * (SIZE.0 * SIZE.1) as usize];
         let told_of_colour = told(&[("1.tiff", tiff::<colortype::RGB8>(&colour, Compression::Uncompressed))]);
         assert!(told_of_colour.contains("no depth image (RGB(8))"), "{told_of_colour}");
+        let page = vec![7_u16; (SIZE.0 * SIZE.1) as usize];
+        let mut two_pages = Cursor::new(Vec::new());
+        let mut encoder = TiffEncoder::new(&mut two_pages).unwrap();
+        (0..2).for_each(|_| encoder.write_image::<colortype::Gray16>(SIZE.0, SIZE.1, &page).unwrap());
+        let told_of_pages = told(&[("1.tiff", two_pages.into_inner())]);
+        assert!(told_of_pages.contains("a TIFF of several pages, expected one depth image"), "{told_of_pages}");
         let wide = vec![7_u32; (SIZE.0 * SIZE.1) as usize];
         let told_of_wide = told(&[("1.tiff", tiff::<colortype::Gray32>(&wide, Compression::Uncompressed))]);
         assert!(told_of_wide.contains("numbers of another kind"), "{told_of_wide}");
         let array = |number: &str, order: &str, shape: &str| told(&[("1.npy", npy(number, order, shape, &[0; 64]))]);
         assert!(array("<u2", "False", "(2, 4, 4)").contains("shape [2, 4, 4], expected rows and columns\n  hint: "));
-        assert!(array("<i8", "False", "(2, 4)").contains("an array of '<i8', expected uint16 or float32\n  hint: "));
+        assert!(
+            array("<i8", "False", "(2, 4)")
+                .contains("an array of '<i8', expected uint16, float32 or float64\n  hint: ")
+        );
         assert!(array("<u2", "True", "(4, 8)").contains("column by column"));
         assert!(array("<u2", "False", "(40, 80)").contains("1.npy"), "cut");
         assert!(array("<u2", "False", "(4000000, 8000000)").contains("4000000"));
