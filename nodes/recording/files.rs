@@ -169,7 +169,8 @@ impl Files {
     }
 }
 
-fn with_length(path: PathBuf) -> (PathBuf, u64) {
+/// A file and its length.
+pub(super) fn with_length(path: PathBuf) -> (PathBuf, u64) {
     // What cannot be opened is told when it is.
     let length = path.metadata().map_or(0, |about| about.len());
     (path, length)

@@ -13,6 +13,7 @@
 //! and `/tf` has the pose of the camera. All messages of a frame have its stamp. What was written is in the file after a second
 //! at most, in chunks that are whole: who reads the file of a recorder that was killed finds all until then.
 
+use super::files::with_length;
 use super::own::{self, ENCODING, IMAGE, MESSAGE, SCHEMA};
 use anyhow::{Context as _, Error, Result};
 use conicflow_dataflow::{AnyMessage, FileUse, ItemType};
@@ -142,7 +143,7 @@ impl Recorder {
             limits,
             open: None,
             next,
-            complete: (0..next).map(|number| sized(numbered(path, number))).collect(),
+            complete: (0..next).map(|number| with_length(numbered(path, number))).collect(),
             is_full: false,
             failure: None,
             memory: Vec::new(),
@@ -236,12 +237,6 @@ fn around_number(path: &Path) -> (String, String) {
 pub fn further_files(key: &'static str, path: &Path) -> FileUse {
     let (prefix, ending) = around_number(path);
     FileUse::numbered(key, path.parent().unwrap_or(Path::new("")).to_owned(), prefix, ending)
-}
-
-/// A file and its size.
-fn sized(path: PathBuf) -> (PathBuf, u64) {
-    let bytes = path.metadata().map_or(0, |about| about.len());
-    (path, bytes)
 }
 
 impl Files {

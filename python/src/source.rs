@@ -3,8 +3,8 @@
 use crate::fault;
 use crate::joined::{self, Inputs, Joined};
 use crate::payload::{HeaderChange, Payload};
-use conicflow_dataflow::{PulledSource, join_as_source, monotonic_ns, tell_median, unix_ns};
-use conicflow_messages::{Header, NoiseModel, Text, median_depth};
+use conicflow_dataflow::{PulledSource, join_as_source, monotonic_ns, tell_frame, unix_ns};
+use conicflow_messages::{Header, NoiseModel, Text};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -52,10 +52,8 @@ impl Source {
 
     /// Says once what the images are like, so that a wrong scale is seen.
     fn tell(&self, name: &str, header: &Header, pixels: &[u16]) {
-        if let Some(median) = median_depth(pixels) {
-            self.is_told.store(true, Ordering::Relaxed);
-            tell_median("images", name, &header.camera, f64::from(median) * header.depth_scale);
-        }
+        let is_told = tell_frame("images", name, &header.camera, header.depth_scale, pixels);
+        self.is_told.fetch_or(is_told, Ordering::Relaxed);
     }
 }
 

@@ -9,11 +9,11 @@ use crate::participant::topic_fault;
 use crate::picture::{Kind, Picture};
 use crate::{Distro, End, Middleware, Participant, Via, Way};
 use conicflow_dataflow::{
-    ConfigFault, Context, Next, Output, SideInputs, Source, StageError, Stop, tell_median, unix_ns,
+    ConfigFault, Context, Next, Output, SideInputs, Source, StageError, Stop, tell_frame, unix_ns,
 };
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
-use conicflow_messages::{Camera, HAS_POSE, Header, Hinted, Text, median_depth};
+use conicflow_messages::{Camera, HAS_POSE, Header, Hinted, Text};
 use conicflow_ros::{CAMERA_INFO, Stamped, TF_MESSAGE, Transforms, camera_info_topics};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -291,14 +291,8 @@ impl<M: Middleware> Ros2Source<M> {
 
     /// Says once what the images are like, so that a wrong scale is seen.
     fn tell(&mut self, header: &Header, pixels: &[u16]) {
-        if self.is_told {
-            return;
-        }
-        if let Some(median) = median_depth(pixels) {
-            self.is_told = true;
-            let median_m = f64::from(median) * header.depth_scale;
-            tell_median("images", &self.ends[IMAGES].topic, &header.camera, median_m);
-        }
+        let tell = || tell_frame("images", &self.ends[IMAGES].topic, &header.camera, header.depth_scale, pixels);
+        self.is_told = self.is_told || tell();
     }
 
     /// Tells that no images come, and what there is instead.

@@ -246,11 +246,7 @@ pub fn link_table(links: &[LinkReport]) -> Table {
 }
 
 fn time(durations: &Durations, quantile: f64) -> String {
-    durations.quantile(quantile).map_or("-".to_owned(), |time| milliseconds(time.as_secs_f64()))
-}
-
-fn milliseconds(seconds: f64) -> String {
-    format!("{:.3} ms", seconds * 1e3)
+    durations.quantile(quantile).map_or("-".to_owned(), |time| format!("{:.3} ms", time.as_secs_f64() * 1e3))
 }
 
 impl Summary {

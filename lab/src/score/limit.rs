@@ -1,7 +1,7 @@
 //! How near a detector comes to what can be known: scatter, bias and reported standard deviations of its answers about one
 //! object that stands still, frame by frame with other noise, beside the bounds of Cramer and Rao ([`crate::bound`]).
 
-use super::matching::{Answer, Matcher, compare, perpendicular, vector};
+use super::matching::{Answer, Matcher, compare, perpendicular};
 use super::row::Row;
 use super::truth::{RenderedTruth, TrueObject};
 use crate::bound::{Bound, Bounds, Measuring, bounds};
@@ -67,9 +67,11 @@ const QUANTITIES: [Quantity; 4] = [
         units: MILLI,
         bound: |bound| Some(bound.position_m),
         // of a sphere the axis is zero
-        error: |truth, answer| perpendicular(&(vector(answer.center) - vector(truth.center)), &vector(answer.axis)),
+        error: |truth, answer| {
+            perpendicular(&(Vector3::from(answer.center) - Vector3::from(truth.center)), &Vector3::from(answer.axis))
+        },
         variance: |answer| {
-            let (covariance, axis) = (Matrix3::from(answer.sigma.center), vector(answer.axis));
+            let (covariance, axis) = (Matrix3::from(answer.sigma.center), Vector3::from(answer.axis));
             covariance.trace() - (covariance * axis).dot(&axis)
         },
     },
@@ -78,7 +80,7 @@ const QUANTITIES: [Quantity; 4] = [
         units: DEGREES,
         bound: |bound| bound.axis,
         error: |truth, answer| {
-            let (truth, axis) = (vector(truth.axis), vector(answer.axis));
+            let (truth, axis) = (Vector3::from(truth.axis), Vector3::from(answer.axis));
             perpendicular(&(axis * axis.dot(&truth).signum()), &truth)
         },
         variance: |answer| answer.sigma.axis.powi(2),
@@ -272,12 +274,12 @@ mod tests {
         limit.look(&header).unwrap();
         let truth = limit.objects.remove(0).truth.body;
         assert!(limit.objects.is_empty(), "a wall is no object");
-        let across = [Vector3::x(), vector(truth.axis).cross(&Vector3::x())];
+        let across = [Vector3::x(), Vector3::from(truth.axis).cross(&Vector3::x())];
         let dice = CounterRng::new(1, 2);
         for number in 0..4000 {
             let [a, b, c, d, e, f] = std::array::from_fn(|k| dice.gaussian(6 * number + k as u64));
-            let axis = (vector(truth.axis) + across[0] * (0.02 * a) + across[1] * (0.02 * b)).normalize();
-            let center = vector(truth.center) + across[0] * (0.001 * c) + across[1] * (0.001 * d);
+            let axis = (Vector3::from(truth.axis) + across[0] * (0.02 * a) + across[1] * (0.02 * b)).normalize();
+            let center = Vector3::from(truth.center) + across[0] * (0.001 * c) + across[1] * (0.001 * d);
             let sigma = ObjectSigma {
                 radius: 0.004,
                 center: [[4e-6, 0.0, 0.0], [0.0, 4e-6, 0.0], [0.0, 0.0, 4e-6]],
@@ -331,7 +333,7 @@ mod tests {
         };
         for number in 0..FEWEST {
             let off = |truth: &Object| {
-                let center = (vector(truth.center) + Vector3::new(0.003, 0.0, 0.004)).into();
+                let center = (Vector3::from(truth.center) + Vector3::new(0.003, 0.0, 0.004)).into();
                 let radius = truth.radius - 0.003 + if number % 2 == 0 { 0.001 } else { -0.001 };
                 Object { center, radius, ..*truth }.answer().unwrap()
             };

@@ -92,14 +92,9 @@ impl Fault {
     }
 }
 
-/// Numbers of a message as a vector.
-pub fn vector(numbers: [f64; 3]) -> Vector3<f64> {
-    numbers.into()
-}
-
 /// Radius of an object at the foot of a point on its axis.
 pub fn radius_at(object: &Object, point: &Vector3<f64>) -> f64 {
-    let along = (point - vector(object.center)).dot(&vector(object.axis));
+    let along = (point - Vector3::from(object.center)).dot(&Vector3::from(object.axis));
     object.radius + along * object.half_angle.tan()
 }
 
@@ -110,8 +105,8 @@ pub fn perpendicular(offset: &Vector3<f64>, axis: &Vector3<f64>) -> Vector3<f64>
 
 /// Compares an answer with the truth; shapes may differ.
 pub fn compare(truth: &Object, answer: &Object) -> Comparison {
-    let (middle, center) = (vector(truth.center), vector(answer.center));
-    let (true_axis, axis) = (vector(truth.axis), vector(answer.axis));
+    let (middle, center) = (Vector3::from(truth.center), Vector3::from(answer.center));
+    let (true_axis, axis) = (Vector3::from(truth.axis), Vector3::from(answer.axis));
     let cosine = true_axis.dot(&axis);
     // the axis of a cone has a sense, that of a cylinder has none
     let both_cones = truth.shape().has_half_angle() && answer.shape().has_half_angle();
@@ -149,8 +144,8 @@ pub fn fault(truth: &TrueObject, answer: &Object) -> Option<Fault> {
 /// Whether the middle of an answer lies within a true object, or next to it.
 pub fn is_near(truth: &Object, answer: &Object) -> bool {
     const MARGIN_M: f64 = 0.05;
-    let offset = vector(answer.center) - vector(truth.center);
-    let axis = vector(truth.axis);
+    let offset = Vector3::from(answer.center) - Vector3::from(truth.center);
+    let axis = Vector3::from(truth.axis);
     let beyond_end = offset.dot(&axis).abs() - 0.5 * truth.length;
     let widest = truth.radius.max(truth.base_radius);
     perpendicular(&offset, &axis).norm() < widest + MARGIN_M && beyond_end < MARGIN_M

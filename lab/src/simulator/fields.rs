@@ -22,36 +22,32 @@ pub struct Quaternion(#[serde(deserialize_with = "quaternion")] pub [f64; 4]);
 
 /// A finite number.
 pub fn finite<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    checked(deserializer, |_| true, "a finite number")
+}
+
+fn checked<'de, D: Deserializer<'de>>(
+    deserializer: D,
+    is_right: fn(f64) -> bool,
+    expected: &str,
+) -> Result<f64, D::Error> {
     let number = f64::deserialize(deserializer)?;
-    if number.is_finite() {
-        Ok(number)
-    } else {
-        Err(D::Error::custom(format!("expected a finite number, got {number}")))
-    }
+    let is_right = number.is_finite() && is_right(number);
+    if is_right { Ok(number) } else { Err(D::Error::custom(format!("expected {expected}, got {number}"))) }
 }
 
 /// A finite number above zero.
 fn positive<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
-    match finite(deserializer)? {
-        number if number > 0.0 => Ok(number),
-        number => Err(D::Error::custom(format!("expected a number above zero, got {number}"))),
-    }
+    checked(deserializer, |number| number > 0.0, "a number above zero")
 }
 
 /// A finite number, zero or above.
 pub fn not_negative<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
-    match finite(deserializer)? {
-        number if number >= 0.0 => Ok(number),
-        number => Err(D::Error::custom(format!("expected zero or a number above it, got {number}"))),
-    }
+    checked(deserializer, |number| number >= 0.0, "zero or a number above it")
 }
 
 /// A share from 0 to 1.
 pub fn share<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
-    match finite(deserializer)? {
-        number if (0.0..=1.0).contains(&number) => Ok(number),
-        number => Err(D::Error::custom(format!("expected a number from 0 to 1, got {number}"))),
-    }
+    checked(deserializer, |number| (0.0..=1.0).contains(&number), "a number from 0 to 1")
 }
 
 /// Three finite numbers.

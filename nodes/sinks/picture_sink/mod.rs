@@ -9,6 +9,7 @@ mod labels;
 mod moving;
 mod painter;
 mod sheet;
+mod whole_file;
 
 use crate::faults::stage_error;
 use crate::sinks::decimator::Decimator;
@@ -25,6 +26,7 @@ use sheet::Sheet;
 use std::fs;
 use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
+use whole_file::write_whole;
 
 /// Longest stem of a picture's name, in bytes: file systems take 255, and there is an ending.
 const LONGEST_NAME: usize = 200;
@@ -272,12 +274,7 @@ fn write_png(canvas: &Canvas, file: &mut Vec<u8>, path: &Path) -> Result<()> {
     encoder.set_depth(BitDepth::Eight);
     encoder.set_compression(Compression::Fast);
     encoder.write_header()?.write_image_data(canvas.bytes())?;
-    let part = path.with_extension("png.part");
-    fs::write(&part, &*file).and_then(|()| fs::rename(&part, path)).map_err(|error| {
-        // What cannot be removed either is left as a part.
-        fs::remove_file(&part).ok();
-        Hinted::of_writing(format!("`{}` cannot be written: {error}", path.display()), &error).into()
-    })
+    write_whole(path, file)
 }
 
 /// Writes the pictures of two painters side by side into one PNG; `file` is room for its bytes.

@@ -4,12 +4,11 @@
 //! most frequent ones of all pictures.
 
 use super::canvas::{Box2, Canvas};
+use super::whole_file::write_whole;
 use anyhow::Result;
-use conicflow_messages::Hinted;
 use png::{BitDepth, BlendOp, ColorType, Compression, Encoder, Filter};
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::PathBuf;
 
 /// More pictures do not fit into memory that a stage should take: 300 of 640x480 are 180 MB.
@@ -83,17 +82,7 @@ impl Moving {
     pub(super) fn write(&self) -> Result<()> {
         let Some(size) = self.size.filter(|_| !self.pictures.is_empty()) else { return Ok(()) };
         let file = self.encode(size)?;
-        let part = self.path.with_extension("part");
-        self.path
-            .parent()
-            .map_or(Ok(()), fs::create_dir_all)
-            .and_then(|()| fs::write(&part, file))
-            .and_then(|()| fs::rename(&part, &self.path))
-            .map_err(|error| {
-                // What cannot be removed either is left as a part.
-                fs::remove_file(&part).ok();
-                Hinted::of_writing(format!("`{}` cannot be written: {error}", self.path.display()), &error).into()
-            })
+        write_whole(&self.path, &file)
     }
 
     fn encode(&self, (width, height): (u32, u32)) -> Result<Vec<u8>> {

@@ -4,8 +4,8 @@ use super::config::{Config, USUAL_RATE_HZ};
 use super::poses::Poses;
 use super::recording::{Frame, Recording};
 use anyhow::Result;
-use conicflow_dataflow::tell_median;
-use conicflow_messages::{Camera, HAS_POSE, Header, Hinted, NoiseModel, RECORDED, Text, is_measured, median_depth};
+use conicflow_dataflow::tell_frame;
+use conicflow_messages::{Camera, HAS_POSE, Header, Hinted, NoiseModel, RECORDED, Text, is_measured};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -189,13 +189,9 @@ impl Playback {
         if self.described {
             return;
         }
-        let Some(median) = median_depth(pixels) else { return };
-        self.described = true;
-        let median_m = f64::from(median) * frame.depth_scale;
-        let what = format!("{} frames", self.recording.len());
-        tell_median(&what, &frame.name, &frame.camera, median_m);
-        let camera = frame.camera;
-        if self.given_intrinsics && is_off_center(&camera) {
+        let (what, camera) = (format!("{} frames", self.recording.len()), frame.camera);
+        self.described = tell_frame(&what, &frame.name, &camera, frame.depth_scale, pixels);
+        if self.described && self.given_intrinsics && is_off_center(&camera) {
             tracing::warn!(
                 "`intrinsics` have the principal point at ({}, {}), far from the middle of images of {}x{}\n  hint: are \
                  they those of another resolution? they scale with the image",

@@ -5,9 +5,9 @@ use super::config::Config;
 use crate::recording::files::{Files, Messages, Seen};
 use crate::recording::own;
 use anyhow::{Context as _, Result, bail, ensure};
-use conicflow_dataflow::{ItemType, Stop, tell_median};
+use conicflow_dataflow::{ItemType, Stop, tell_frame};
 use conicflow_messages::{
-    Camera, HAS_POSE, Header, Hinted, Hop, INVALID_FAR, INVALID_NEAR, Item, MAX_HOPS, RECORDED, Text, median_depth,
+    Camera, HAS_POSE, Header, Hinted, Hop, INVALID_FAR, INVALID_NEAR, Item, MAX_HOPS, RECORDED, Text,
 };
 use conicflow_ros::{CompressedImage, Depths, Image, Stamped, TF_MESSAGE, Transforms};
 use mcap::Message;
@@ -297,15 +297,10 @@ impl Replay {
 
     /// Says once what the images are like, so that a wrong scale is seen.
     fn tell(&mut self, replayed: &Replayed) {
-        if self.is_told {
-            return;
-        }
-        let pixels = replayed.items_as::<u16>();
-        let Some(median) = median_depth(&pixels) else { return };
-        self.is_told = true;
-        let Header { camera, depth_scale, .. } = replayed.header;
-        let topic = self.chosen.topics()[0].to_owned();
-        tell_median("frames", &topic, &camera, f64::from(median) * depth_scale);
+        let Header { camera, depth_scale, .. } = &replayed.header;
+        let pixels = || replayed.items_as::<u16>();
+        let tell = || tell_frame("frames", self.chosen.topics()[0], camera, *depth_scale, &pixels());
+        self.is_told = self.is_told || tell();
     }
 }
 
