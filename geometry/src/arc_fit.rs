@@ -176,6 +176,8 @@ mod tests {
         let coefficients = [1.0, 0.0, 1.0, 0.0, 0.0, -circle.radius * circle.radius];
         let rms = Conic { origin: circle.center, coefficients }.rms(&moments).unwrap();
         assert!((fit.circle_square.sqrt() - rms).abs() < 1e-4, "{fit:?}");
+        let (mean, expected_mean) = (ArcMoments::of(&moments).unwrap().mean(), moments.mean().unwrap());
+        assert!((mean[0] - expected_mean[0]).abs() + (mean[1] - expected_mean[1]).abs() < 1e-12, "{mean:?}");
         assert!((fit.line_square.sqrt() - line).abs() < 1e-6, "{fit:?} {line:?}");
         let expected = 40.0 * (fit.line_square - fit.circle_square) / 1e-6;
         assert!((bulge(&moments, 1e-6) - expected).abs() < 1e-9 * expected);
@@ -222,9 +224,14 @@ mod tests {
 
     #[test]
     fn a_circle_within_a_distance_needs_no_fit() {
-        for (i, noise) in [0.0, 0.001, 0.003, 0.01].into_iter().enumerate() {
+        let [front, most] = [[3.9, 5.5], [0.0, 5.5]];
+        for (i, ([from, to], noise)) in
+            [(front, 0.0), (front, 0.001), (front, 0.003), (front, 0.01), (most, 0.04), (most, 0.08)]
+                .into_iter()
+                .enumerate()
+        {
             let phase = i as f64;
-            let noisy = arc(3.9, 5.5).enumerate().map(|(i, [s, t])| [s, t + noise * (i as f64 * 2.4 + phase).sin()]);
+            let noisy = arc(from, to).enumerate().map(|(i, [s, t])| [s, t + noise * (i as f64 * 2.4 + phase).sin()]);
             let arc = ArcMoments::of(&PlaneMoments::of([0.0, 0.0], noisy)).unwrap();
             let square = arc.fit().circle_square;
             for (factor, within) in [(0.5, false), (0.95, false), (1.05, true), (3.0, true)] {
