@@ -3,7 +3,7 @@
 
 use crate::bridge::without_times;
 use crate::processes::{at_work, stages_of, wait_for_lines};
-use crate::support::{Playground, Started, TRACKING, python_with, read_png, signal, wait_until};
+use crate::support::{Ended, Playground, Started, TRACKING, python_with, read_png, signal, wait_until};
 use rustix::process::Signal;
 use serde_json::Value as Json;
 use std::collections::HashSet;
@@ -151,8 +151,9 @@ fn an_onlooker_records_a_running_pipeline_until_it_ends() {
     let newest = playground.newest("tracks.jsonl");
     run.wait_until("frames pass", || playground.newest("tracks.jsonl") > newest + 100);
     let made = run.end().stage("source").messages;
-    let ended = recorder.wait().expect_code(0);
-    ended.expect_told(&["recorded ", "MB: depth "]);
+    let told = recorder.wait().expect_code(0).stderr;
+    assert!(told.contains("recorded ") && told.contains("MB: depth "), "{told}");
+    let objects = told.rsplit_once(", objects ").unwrap().1.split_whitespace().next().unwrap();
 
     // The numbers of the frames are those of the run, in which the recording begins in the middle.
     let part = FROM_ELLIPSES.lines().filter(|line| !line.starts_with("assembler")).collect::<Vec<_>>().join("\n");
@@ -161,7 +162,10 @@ fn an_onlooker_records_a_running_pipeline_until_it_ends() {
     playground.write("part.toml", &part);
     playground.conicflow(&["run", "part.toml"]).expect_code(0);
     let sequences = playground.sequences("again.jsonl");
-    assert!(sequences.len() > 50 && sequences[0] > 0, "{sequences:?}");
+    assert!(
+        sequences.len().to_string() == objects && sequences.len() > 1 && sequences[0] > 0,
+        "{objects}: {sequences:?}"
+    );
     assert!(sequences.is_sorted() && *sequences.last().unwrap() < made, "{sequences:?}");
 }
 
@@ -198,6 +202,9 @@ fn script(python: &str, arguments: &[&Path]) -> String {
     Started::new(command).wait().expect_code(0).stdout
 }
 
+/// What `timeout` ends with where the program that it started did not end.
+const TIMED_OUT: i32 = 124;
+
 #[test]
 fn other_programs_read_what_is_recorded() {
     let Some(python) = other_programs() else { return };
@@ -216,15 +223,26 @@ fn other_programs_read_what_is_recorded() {
         return;
     }
     let rerun = |arguments: &[&str]| {
-        let mut command = Command::new(&rerun);
-        command.args(arguments).current_dir(playground.path(".")).env("HOME", playground.path("."));
+        let mut command = Command::new("timeout");
+        command
+            .args(["--kill-after=5", "40"])
+            .arg(&rerun)
+            .args(arguments)
+            .current_dir(playground.path("."))
+            .env("HOME", playground.path("."));
         Started::new(command).wait()
     };
     let checked = rerun(&["mcap", "check", "run.mcap"]).expect_code(0).stdout;
     let channels: Vec<_> = checked.lines().filter(|line| line.contains("/source/")).collect();
     assert!(channels.len() > 10 && channels.iter().all(|line| line.trim_start().starts_with("ok")), "{checked}");
     let shown = ["run.mcap", "--headless", "--bind", "127.0.0.1", "--port", "0", "--window-size", "1400x900"];
-    let shot = rerun(&[&shown[..], &["--screenshot-to", "shot.png"]].concat());
+    // Rerun gives up what software needs more than ten seconds to draw, and does not end then.
+    let draw = || rerun(&[&shown[..], &["--screenshot-to", "shot.png"]].concat());
+    let is_drawn = |shot: &Ended| shot.code != Some(TIMED_OUT);
+    let Some(shot) = std::iter::repeat_with(draw).take(3).find(is_drawn) else {
+        eprintln!("SKIPPED: this machine is too busy for Rerun to draw by software; what it draws was not shown");
+        return;
+    };
     if shot.stderr.contains("No graphics adapter") {
         eprintln!("SKIPPED: Rerun has no graphics card here, not even one of software; what it draws was not shown");
         return;
