@@ -3,7 +3,7 @@
 
 use crate::bridge::without_times;
 use crate::processes::{at_work, stages_of, wait_for_lines};
-use crate::support::{Ended, Playground, Started, TRACKING, python_with, read_png, signal, wait_until};
+use crate::support::{Playground, Started, TRACKING, python_with, read_png, signal, wait_until};
 use rustix::process::Signal;
 use serde_json::Value as Json;
 use std::collections::HashSet;
@@ -202,8 +202,10 @@ fn script(python: &str, arguments: &[&Path]) -> String {
     Started::new(command).wait().expect_code(0).stdout
 }
 
-/// What `timeout` ends with where the program that it started did not end.
+/// What `timeout` ends with where the program that it started did not end, unless it is killed with it.
 const TIMED_OUT: i32 = 124;
+/// A depth image alone has hundreds of colours; the window around it is grey.
+const COLOURS: usize = 1000;
 
 #[test]
 fn other_programs_read_what_is_recorded() {
@@ -236,24 +238,34 @@ fn other_programs_read_what_is_recorded() {
     let channels: Vec<_> = checked.lines().filter(|line| line.contains("/source/")).collect();
     assert!(channels.len() > 10 && channels.iter().all(|line| line.trim_start().starts_with("ok")), "{checked}");
     let shown = ["run.mcap", "--headless", "--bind", "127.0.0.1", "--port", "0", "--window-size", "1400x900"];
-    // Rerun gives up what software needs more than ten seconds to draw, and does not end then.
-    let draw = || rerun(&[&shown[..], &["--screenshot-to", "shot.png"]].concat());
-    let is_drawn = |shot: &Ended| shot.code != Some(TIMED_OUT);
-    let Some(shot) = std::iter::repeat_with(draw).take(3).find(is_drawn) else {
+    let mut most = None;
+    // Where a machine is busy Rerun takes the picture before it has read the file, or gives up what takes more than ten seconds
+    // to draw, and does not end then.
+    for _ in 0..5 {
+        let shot = rerun(&[&shown[..], &["--screenshot-to", "shot.png"]].concat());
+        if shot.stderr.contains("No graphics adapter") {
+            eprintln!(
+                "SKIPPED: Rerun has no graphics card here, not even one of software; what it draws was not shown"
+            );
+            return;
+        }
+        if matches!(shot.code, None | Some(TIMED_OUT)) {
+            continue;
+        }
+        let told = shot.expect_code(0).stderr;
+        let warned = told.lines().filter(|line| line.contains("does not specify a schema"));
+        assert_eq!(warned.count(), 0, "{told}");
+        let (info, pixels) = read_png(&playground.path("shot.png"));
+        most = most.max(Some(pixels.chunks_exact(info.color_type.samples()).collect::<HashSet<_>>().len()));
+        if most > Some(COLOURS) {
+            break;
+        }
+    }
+    let Some(most) = most else {
         eprintln!("SKIPPED: this machine is too busy for Rerun to draw by software; what it draws was not shown");
         return;
     };
-    if shot.stderr.contains("No graphics adapter") {
-        eprintln!("SKIPPED: Rerun has no graphics card here, not even one of software; what it draws was not shown");
-        return;
-    }
-    let told = shot.expect_code(0).stderr;
-    let warned = told.lines().filter(|line| line.contains("does not specify a schema"));
-    assert_eq!(warned.count(), 0, "{told}");
-    let (info, pixels) = read_png(&playground.path("shot.png"));
-    let colours: HashSet<_> = pixels.chunks_exact(info.color_type.samples()).collect();
-    // The depths alone have hundreds; the window around them is grey.
-    assert!(colours.len() > 1000, "{} colours", colours.len());
+    assert!(most > COLOURS, "{most} colours");
     if let Ok(folder) = std::env::var("CONICFLOW_PICTURES") {
         fs::copy(playground.path("shot.png"), format!("{folder}/rerun.png")).unwrap();
     }
