@@ -27,7 +27,8 @@ fn columns_of(program: &Program) -> Option<Vec<&'static str>> {
     SINKS.iter().find(|(name, _)| *name == node.name).map(|(_, columns)| columns())
 }
 
-/// Refuses columns that no row will have, an experiment without a stage that leaves rows, and a table or plot over what is read.
+/// Refuses columns that no row will have or that are there twice, an experiment without a stage that leaves rows, and a table or
+/// plot over what is read.
 ///
 /// # Errors
 /// The key that names such a column, with those that there are, or such a file.
