@@ -19,7 +19,6 @@ use tempfile::TempDir;
 
 /// Whatever a test waits for comes long before this; it has failed when this is over.
 pub const DEADLINE: Duration = Duration::from_secs(120);
-const GRACE: Duration = Duration::from_secs(10);
 pub const LOOK: Duration = Duration::from_millis(20);
 
 /// Five stages that find and track a ball in small images, every frame of it, until it is told to stop.
@@ -270,7 +269,7 @@ impl Drop for Playground {
     /// as the folder that leads there is there.
     fn drop(&mut self) {
         let since = Instant::now();
-        while !self.processes().is_empty() && since.elapsed() < GRACE {
+        while !self.processes().is_empty() && since.elapsed() < DEADLINE {
             self.processes().into_iter().for_each(|process| signal(process, Signal::KILL));
             std::thread::sleep(LOOK);
         }
@@ -470,13 +469,14 @@ impl Started {
 
 impl Drop for Started {
     fn drop(&mut self) {
-        // A run that is still going on gets the time to clean up after itself.
+        // A run that is still going on gets the time to clean up after itself. On a busy machine that takes seconds for those
+        // that let others go first, such as `conicflow view`, and for a browser.
         let since = Instant::now();
         let is_running = |child: &mut Child| matches!(child.try_wait(), Ok(None));
         if is_running(&mut self.child) {
             signal(self.child.id(), Signal::TERM);
         }
-        while is_running(&mut self.child) && since.elapsed() < GRACE {
+        while is_running(&mut self.child) && since.elapsed() < DEADLINE {
             std::thread::sleep(LOOK);
         }
         let ends = !is_running(&mut self.child);

@@ -1,7 +1,7 @@
 //! Browsers that are told what to do: Chromium by `chromedriver`, Firefox by its own Marionette protocol, which has the same
 //! commands. Firefox has no WebGL without a display; Xvfb is one.
 
-use crate::support::{Started, parent, signal, wait_until};
+use crate::support::{Started, signal, wait_until};
 use crate::view::exchange;
 use rustix::process::Signal;
 use serde_json::{Value as Json, json};
@@ -198,8 +198,7 @@ impl Browser {
 }
 
 impl Drop for Browser {
-    /// Ends it, also after a test that failed. Firefox is killed, as it has nothing to keep. On a busy machine it is gone only
-    /// seconds later all the same (6.5 s and more were seen), and [`Started`] grants ten to a program that is told to end.
+    /// Ends it, also after a test that failed. Firefox is killed, as it has nothing to keep.
     fn drop(&mut self) {
         match &self.driver {
             Driver::Chromium { port, session, .. } => {
@@ -209,10 +208,7 @@ impl Drop for Browser {
                     stream.read_exact(&mut [0]).ok();
                 }
             }
-            Driver::Firefox { browser, .. } => {
-                signal(browser.id(), Signal::KILL);
-                wait_until("Firefox has ended", || parent(browser.id()).is_none());
-            }
+            Driver::Firefox { browser, .. } => signal(browser.id(), Signal::KILL),
         }
     }
 }
