@@ -338,22 +338,28 @@ pub(super) mod tests {
         PlannedStage { name: "stage".into(), wiring, restart: Restart::Never, ..PlannedStage::default() }
     }
 
+    /// A stage that makes these of ellipses.
+    fn finder<T: Item>() -> PlannedStage {
+        let mut planned = stage::<T>();
+        let input = Topic { name: "in".into(), item: Some(ItemType::of::<Ellipse>()), ..Topic::default() };
+        planned.wiring.input = Some(input);
+        planned
+    }
+
     #[test]
-    fn that_nothing_was_found_is_told() {
+    fn that_nothing_was_found_is_told_of_those_that_look_for_it() {
         let mut status = Box::new(Status::default());
-        assert_eq!(found(&stage::<Object>(), &status), None, "no frame came");
+        assert_eq!(found(&finder::<Object>(), &status), None, "no frame came");
         status.steps = 12;
-        assert_eq!(found(&stage::<Object>(), &status).as_deref(), Some("nothing in 12 frames"));
-        assert_eq!(found(&stage::<Ellipse>(), &status), None);
+        assert_eq!(found(&finder::<Object>(), &status).as_deref(), Some("nothing in 12 frames"));
+        assert_eq!(found(&stage::<Object>(), &status), None, "a source hands on what others found");
+        assert_eq!(found(&finder::<Ellipse>(), &status), None, "ellipses are not counted");
         status.count_found("cone");
-        assert_eq!(found(&stage::<Track>(), &status).as_deref(), Some("in 12 frames: cone 1"));
+        assert_eq!(found(&finder::<Track>(), &status).as_deref(), Some("in 12 frames: cone 1"));
     }
 
     fn summary(status: Box<Status>) -> Summary {
-        let mut planned = stage::<Object>();
-        let input = Topic { name: "in".into(), item: Some(ItemType::of::<Ellipse>()), ..Topic::default() };
-        planned.wiring.input = Some(input);
-        let stages = vec![StageSummary { planned, status: Some(status) }];
+        let stages = vec![StageSummary { planned: finder::<Object>(), status: Some(status) }];
         Summary {
             pipeline: "test".into(),
             elapsed: Duration::from_secs(1),

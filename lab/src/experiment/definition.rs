@@ -338,7 +338,9 @@ mod tests {
         let twice = |first: &str, second: &str| {
             let of = |(name, key)| format!("{{ name = \"{name}\", set = [\"{key}\"], values = [1, 2] }}");
             let [first, second] = [first, second].map(|entry| of(entry.split_once(' ').unwrap()));
-            experiment(&format!("vary = [{first}, {second}]")).map(drop).map_err(|error| error.to_string())
+            experiment(&format!("vary = [{first}, {second}]"))
+                .map(drop)
+                .map_err(|error| error.to_string().lines().next().unwrap().to_owned())
         };
         assert_eq!(twice("n a.b", "m a.c"), Ok(()));
         assert_eq!(twice("n a.b", "m a.b"), Err("`vary` sets `a.b` twice, in `n` and in `m`".into()));
