@@ -109,6 +109,7 @@ pub fn detect(arguments: &DetectArguments) -> Result<()> {
             "name a depth image, a folder of them, or a recording"
         ));
     }
+    arguments.moving.as_deref().map_or(Ok(()), picture_sink::check_moving)?;
     refuse_to_overwrite(arguments)?;
     let mut frames = Frames::open(arguments)?;
     let mut lines = match arguments.file() {

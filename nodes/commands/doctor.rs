@@ -20,8 +20,9 @@ pub fn doctor(pipeline: &Pipeline, machine: Option<&str>, remove: bool) -> anyho
         None if !pipeline.machines.is_empty() => pipeline.machines.keys().map(|name| Some(name.as_str())).collect(),
         machine => vec![machine],
     };
+    let metrics: Vec<_> = machines.iter().filter_map(|machine| Some(pipeline.metrics_on(*machine)?.listen)).collect();
     let plans: Vec<_> = machines.into_iter().map(|machine| Plan::of(pipeline, machine, None, NO_RUN)).collect();
-    let findings = examine(&plans, &REGISTRY);
+    let findings = examine(&plans, &metrics, &REGISTRY);
     for (index, finding) in findings.iter().enumerate() {
         writeln!(output, "{}problem: {finding}", if index == 0 { "" } else { "\n" })?;
     }

@@ -78,7 +78,11 @@ pub fn record(arguments: &RecordArguments) -> Result<()> {
     let watched = running.watch::<anyhow::Error>(&watched, |topic, message| {
         tally.count(&topic.name, message.header);
         let written = recorder.write(&topic.name, &message, message.header.latency_ms(monotonic_ns()))?;
-        Ok(if written == Recorded::Full { Watching::Enough } else { Watching::GoOn })
+        if written == Recorded::Full {
+            tracing::warn!("the recording has reached `--limit-mb`: no more is recorded");
+            return Ok(Watching::Enough);
+        }
+        Ok(Watching::GoOn)
     });
     // What came before an error is kept.
     let bytes = recorder.finish();

@@ -178,4 +178,5 @@ fn who_ends_it_early_is_told_that_there_is_nothing_to_compare() {
         ended.stderr
     );
     assert!(!ended.stderr.contains("variant b"), "{}", ended.stderr);
+    assert!(ended.stderr.contains("hint: `--frames N` ends both variants"), "{}", ended.stderr);
 }

@@ -53,6 +53,8 @@ fn what_says_how_to_draw_wants_something_to_be_drawn() {
         let ended = playground.conicflow(&[&["detect", "frames", "--camera", &camera], &how[..]].concat());
         ended.expect_code(2).expect_told(&["the following required arguments were not provided"]);
     }
+    let gif = playground.conicflow(&["detect", "frames", "--camera", &camera, "--moving", "m.gif"]).expect_code(2);
+    gif.expect_told(&["`m.gif` will be a PNG that moves (APNG)\n  hint: name it `m.png`"]);
 }
 
 #[test]

@@ -194,7 +194,7 @@ fn nobody_who_asks_slowly_or_wrongly_holds_up_the_run() {
 }
 
 #[test]
-fn an_address_that_is_taken_is_told_before_anything_starts() {
+fn an_address_that_is_taken_is_told_by_doctor_and_before_anything_starts() {
     let playground = Playground::new();
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let address = taken.local_addr().unwrap();
@@ -203,6 +203,8 @@ fn an_address_that_is_taken_is_told_before_anything_starts() {
     let told = format!("`metrics` of the pipeline file: nothing can be offered at {address}: ");
     ended.expect_told(&[&told, "hint: "]);
     assert!(playground.lines("tracks.jsonl").is_empty());
+    let doctor = playground.conicflow(&["doctor"]).expect_code(1);
+    assert!(doctor.stdout.contains(&told), "{}", doctor.stdout);
 }
 
 #[test]

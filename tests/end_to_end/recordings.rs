@@ -137,6 +137,14 @@ fn a_recorder_that_is_replaced_leaves_two_recordings_and_no_empty_file() {
 }
 
 #[test]
+fn an_onlooker_s_recording_ends_where_it_is_as_large_as_it_may_be() {
+    let (playground, run) = at_work(TRACKING, 500);
+    let recorded = playground.conicflow(&["record", "-o", "part.mcap", "--limit-mb", "1"]).expect_code(0);
+    recorded.expect_told(&["the recording has reached `--limit-mb`: no more is recorded", "recorded 1."]);
+    run.end();
+}
+
+#[test]
 fn an_onlooker_records_a_running_pipeline_until_it_ends() {
     // Who only looks on gets what it has time for, on a busy machine too.
     let (playground, mut run) = at_work(TRACKING, 25);

@@ -5,7 +5,7 @@ use crate::network::{BridgePlan, Network};
 use crate::plan::{Plan, Runs};
 use conicflow_messages::Hinted;
 use std::io::{self, ErrorKind};
-use std::net::{TcpListener, UdpSocket};
+use std::net::{SocketAddr, TcpListener, UdpSocket};
 
 /// The ports that these plans need and cannot have. Addresses of other machines tell nothing here.
 pub(super) fn examine(plans: &[&Plan], network: &Network) -> Vec<Finding> {
@@ -40,13 +40,26 @@ fn taken(machine: &str, endpoint: &str) -> Option<Hinted> {
     let address = endpoint.split(['#', '?']).next()?;
     let (protocol, address) = address.split_once('/')?;
     let error = bind(protocol, address).err()?;
+    Some(Hinted::new(format!("machine `{machine}` cannot listen on `{endpoint}`: {error}"), hint(&error, address)?))
+}
+
+/// That the metrics of a run cannot be offered at this address.
+pub(super) fn metrics(address: SocketAddr) -> Option<Finding> {
+    let error = TcpListener::bind(address).err()?;
+    let what = format!("`metrics` of the pipeline file: nothing can be offered at {address}: {error}");
+    Some(Hinted::new(what, hint(&error, &address.to_string())?).into())
+}
+
+/// What to do about a port of this machine; `None` where the address is of another one.
+fn hint(error: &io::Error, address: &str) -> Option<String> {
     let port = address.rsplit(':').next().unwrap_or(address);
-    let hint = match error.kind() {
-        ErrorKind::AddrInUse => format!("`ss -lnp sport = :{port}` shows who has it; end that, or choose another port"),
-        ErrorKind::PermissionDenied => "choose a port above 1023".to_owned(),
-        _ => return None,
-    };
-    Some(Hinted::new(format!("machine `{machine}` cannot listen on `{endpoint}`: {error}"), hint))
+    match error.kind() {
+        ErrorKind::AddrInUse => {
+            Some(format!("`ss -lnp sport = :{port}` shows who has it; end that, or choose another port"))
+        }
+        ErrorKind::PermissionDenied => Some("choose a port above 1023".to_owned()),
+        _ => None,
+    }
 }
 
 fn bind(protocol: &str, address: &str) -> io::Result<()> {

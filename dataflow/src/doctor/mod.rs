@@ -17,11 +17,13 @@ use crate::preflight::Requirements;
 use crate::registry::Registry;
 use conicflow_messages::Hinted;
 use std::collections::HashSet;
+use std::net::SocketAddr;
 use std::path::Path;
 use std::time::Duration;
 
-/// Looks at this machine, for a pipeline with these plans: one for each machine that this may be.
-pub fn examine(plans: &[Plan], registry: &Registry) -> Vec<Finding> {
+/// Looks at this machine, for a pipeline with these plans: one for each machine that this may be. `metrics` is where their
+/// launchers offer the metrics of a run.
+pub fn examine(plans: &[Plan], metrics: &[SocketAddr], registry: &Registry) -> Vec<Finding> {
     let mut findings = folder::examine();
     let usable = findings.is_empty();
     let idle: Vec<_> = plans.iter().filter(|plan| !is_running(&plan.pipeline)).collect();
@@ -31,6 +33,10 @@ pub fn examine(plans: &[Plan], registry: &Registry) -> Vec<Finding> {
     if let Some(network) = &registry.network {
         findings.extend(listening::examine(&idle, network));
         findings.extend(listening::warnings(&plans.iter().collect::<Vec<_>>(), network));
+    }
+    // A run that goes on has its address itself.
+    if !idle.is_empty() {
+        findings.extend(metrics.iter().filter_map(|address| listening::metrics(*address)));
     }
     findings.extend(orphans::examine());
     if usable {

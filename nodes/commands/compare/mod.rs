@@ -18,6 +18,7 @@ use report::Variants;
 use std::io::{Write as _, stdout};
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::atomic::Ordering;
 use tally::Tally;
 use variant::{How, Variant};
 
@@ -80,6 +81,9 @@ pub fn compare(arguments: &CompareArguments, log: &str) -> Result<ExitCode> {
             Ok(variant) => variants.push(variant),
             Err(summary) => {
                 say(format_args!("variant {letter} was disturbed, or not finished:\n{summary}"));
+                if frames.is_none() && how.interrupted.load(Ordering::Relaxed) {
+                    say("hint: `--frames N` ends both variants by themselves, also where the sources go on for ever");
+                }
                 return Ok(ExitCode::FAILURE);
             }
         }

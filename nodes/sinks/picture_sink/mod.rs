@@ -121,6 +121,20 @@ impl Config {
     }
 }
 
+/// Refuses a name for a moving picture by which it would be taken for something else.
+///
+/// # Errors
+/// The name has an ending that is not one of a PNG, with one that is as the hint.
+pub fn check_moving(path: &Path) -> Result<(), Hinted> {
+    match path.extension().map(|ending| ending.to_ascii_lowercase()) {
+        Some(ending) if ending != "png" && ending != "apng" => Err(Hinted::new(
+            format!("`{}` will be a PNG that moves (APNG)", path.display()),
+            format!("name it `{}`", path.with_extension("png").display()),
+        )),
+        _ => Ok(()),
+    }
+}
+
 /// Writes a PNG for every message, or every so many.
 pub struct PictureSink<T> {
     folder: Option<PathBuf>,
@@ -322,6 +336,9 @@ impl<T: Drawn> Stage for PictureSink<T> {
         let mut faults = Vec::new();
         if config.path.is_none() && config.moving.is_none() {
             faults.push(ConfigFault::new("path", "is missing", "write `path = \"pictures/\"`"));
+        }
+        if let Some(Err(Hinted { what, hint, .. })) = config.moving.as_deref().map(check_moving) {
+            faults.push(ConfigFault::new("moving", what, hint));
         }
         if config.near_m.zip(config.far_m).is_some_and(|(near, far)| near >= far) {
             let hint = "near is warm, far is cold: write the smaller depth here";

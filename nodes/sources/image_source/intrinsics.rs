@@ -19,7 +19,7 @@ const MAX_JSON_BYTES: u64 = 1 << 20;
 
 /// What a JSON file should be like.
 const HINT: &str = "write `{\"width\": 640, \"height\": 480, \"fx\": .., \"fy\": .., \"cx\": .., \"cy\": ..}` with your camera's \
-                    numbers, or give `intrinsics` in the pipeline file";
+                    numbers, or give `intrinsics` in the pipeline file, to `conicflow detect` `--camera`";
 
 /// What a JSON file beside the frames tells.
 #[derive(Clone, Debug, PartialEq)]
@@ -37,11 +37,23 @@ impl CameraFile {
     /// # Errors
     /// There is one, but it cannot be used.
     pub(super) fn find(folder: &Path) -> Result<Option<Self>> {
-        let read = |path: PathBuf| {
-            let file = Self::read(&path).map_err(|error| hinted(error, HINT));
-            file.with_context(|| format!("`{}`", path.display()))
+        let Some(path) = Self::path_beside(folder) else { return Ok(None) };
+        let read = Self::read(&path).map_err(|error| hinted(error, HINT));
+        let found = read.with_context(|| format!("`{}`", path.display()))?;
+        if let Some(other) = found.another_beside() {
+            tracing::warn!("`{}` is read; `{}` beside it tells of another camera, and is not", path.display(), other);
+        }
+        Ok(Some(found))
+    }
+
+    /// The name of a file in the same folder that tells of another camera, or cannot be read.
+    fn another_beside(&self) -> Option<&'static str> {
+        let is_another = |name: &&str| {
+            let other = self.path.with_file_name(name);
+            let agrees = |other: Self| (other.intrinsics, other.size) == (self.intrinsics, self.size);
+            other.is_file() && !Self::read(&other).is_ok_and(agrees)
         };
-        Self::path_beside(folder).map(read).transpose()
+        NAMES.into_iter().find(is_another)
     }
 
     /// Where there is one.
@@ -246,6 +258,19 @@ mod tests {
         assert_eq!(CameraFile::find(&frames).unwrap().unwrap().depth_scale, None);
         fs::write(frames.join("camera.json"), MINE).unwrap();
         assert_eq!(CameraFile::find(&frames).unwrap().unwrap().depth_scale, Some(0.0002));
+    }
+
+    #[test]
+    fn another_file_in_the_folder_is_told_of_where_it_tells_of_another_camera() {
+        let folder = tempfile::tempdir().unwrap();
+        let another = |open3d: &str| {
+            fs::write(folder.path().join("camera_intrinsics.json"), open3d).unwrap();
+            CameraFile::find(folder.path()).unwrap().unwrap().another_beside()
+        };
+        assert_eq!(another(OPEN3D), None, "it is alone");
+        fs::write(folder.path().join("camera.json"), MINE).unwrap();
+        assert_eq!(another(OPEN3D), None, "they agree");
+        assert_eq!(another(&OPEN3D.replace("52.5", "60")), Some("camera_intrinsics.json"));
     }
 
     #[test]

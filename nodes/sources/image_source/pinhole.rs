@@ -93,13 +93,13 @@ fn fit_where(samples: impl Iterator<Item = Sample>, keep: impl Fn(&Sample) -> bo
         u.count() >= MIN_POINTS,
         Hinted::new(
             format!("{} points with a measurement, expected {MIN_POINTS} or more to fit the camera", u.count()),
-            "give `intrinsics`"
+            "give `intrinsics`, to `conicflow detect` `--camera`"
         )
     );
     let (Some(line_u), Some(line_v)) = (line(&u), line(&v)) else {
         bail!(Hinted::new(
             "the points lie in one row, one column or one ray, so that no camera can be fitted to them",
-            "give `intrinsics`"
+            "give `intrinsics`, to `conicflow detect` `--camera`"
         ));
     };
     Ok((line_u, line_v, u.count()))

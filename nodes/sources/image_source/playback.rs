@@ -277,7 +277,7 @@ pub(super) fn emptiness(pixels: &[u16], too_far: u64) -> Option<String> {
             .to_owned(),
         _ => format!(
             "all {too_far} points are too far away and left out\n  hint: if they are in millimetres, write `depth_scale = \
-             0.001`"
+             0.001`, to `conicflow detect` `--scale 0.001`"
         ),
     };
     Some(why)

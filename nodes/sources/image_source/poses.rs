@@ -207,7 +207,7 @@ fn beside(folder: &Path, seen: &mut Seen<'_>) -> Result<Option<PathBuf>> {
                 let (one, other) = (file_name(one), file_name(other));
                 return Err(Hinted::new(
                     format!("`{}` has several trajectories, such as `{one}` and `{other}`", folder.display()),
-                    format!("write `poses = \"{one}\"`, with its folder, or `poses = \"none\"`"),
+                    format!("choose by `poses`, of `conicflow detect` `--poses`: `{one}` with its folder, or `none`"),
                 )
                 .into());
             }

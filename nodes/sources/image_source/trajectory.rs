@@ -22,7 +22,7 @@ const UNIT_TOLERANCE: f64 = 1e-2;
 /// What files of poses should be like.
 pub(super) const HINT: &str = "a pose is a 4x4 matrix `world_from_camera` (7-Scenes `*.pose.txt`), a line `timestamp tx ty tz qx \
                                qy qz qw` (TUM `groundtruth.txt`), or three whole numbers and such a matrix (Open3D `.log`); \
-                               `poses = \"none\"` leaves them alone";
+                               `poses = \"none\"`, of `conicflow detect` `--poses none`, leaves them alone";
 
 /// A pose; `None` where the camera was lost.
 pub(super) type Known = Option<Isometry3<f64>>;
