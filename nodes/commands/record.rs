@@ -1,7 +1,7 @@
 //! `conicflow record`: topics of a running pipeline into a recording, by an onlooker for whom no stage waits.
 
 use super::invocation::say;
-use super::topic::{PipelineName, give_way, topics};
+use super::topic::{PipelineName, topics};
 use crate::NODES;
 use crate::recording::files::is_recording;
 use crate::recording::recorder::{Recorded, Recorder};
@@ -10,6 +10,7 @@ use anyhow::{Context as _, Result, bail};
 use clap::Args;
 use conicflow_dataflow::{Requirements, Watching, monotonic_ns};
 use conicflow_messages::{Header, Hinted, Text};
+use conicflow_view::give_way;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 

@@ -1,7 +1,7 @@
 //! `conicflow top`: what running pipelines do, as a screen that is drawn anew each second, or once as JSON.
 
-use super::topic::give_way;
 use conicflow_dataflow::{PipelineActivity, StageActivity, Table, link_table, observe};
+use conicflow_view::give_way;
 use serde_json::json;
 use std::io::{IsTerminal, Write, stdout};
 use std::thread::sleep;

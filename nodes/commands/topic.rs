@@ -9,13 +9,12 @@ use conicflow_dataflow::ports::{Delivery, Topic};
 use conicflow_dataflow::{
     PipelineActivity, Requirements, RunningPipeline, Table, TopicActivity, WatchError, Watching, monotonic_ns, observe,
 };
+use conicflow_view::give_way;
 use std::io::{Write, stdout};
 use std::thread::sleep;
 use std::time::Duration;
 
 const PERIOD: Duration = Duration::from_secs(1);
-/// Who looks on gives way to those at work.
-const NICENESS: i32 = 10;
 
 /// What is to be seen of topics.
 #[derive(Subcommand)]
@@ -65,11 +64,6 @@ pub fn topic(command: &TopicCommand) -> anyhow::Result<()> {
         TopicCommand::Hz(arguments) => each_second(arguments, rate_line),
         TopicCommand::Bw(arguments) => each_second(arguments, bandwidth_line),
     }
-}
-
-/// Lets the stages go first where processors are short; where that is not allowed nothing else is lost.
-pub(crate) fn give_way() {
-    rustix::process::nice(NICENESS).ok();
 }
 
 impl PipelineName {

@@ -1,13 +1,12 @@
 //! `conicflow view`: a page for the browser that shows what runs, or a recording.
 
-use super::topic::give_way;
 use crate::viewing::live::Live;
 use crate::viewing::player::Player;
 use anyhow::{Result, bail};
 use clap::Args;
 use conicflow_dataflow::told_to_end;
 use conicflow_messages::Hinted;
-use conicflow_view::{Display, Listen, Page, Server};
+use conicflow_view::{Display, Listen, Page, Server, give_way};
 use std::io::{Write, stdout};
 use std::path::PathBuf;
 use std::sync::Arc;

@@ -6,7 +6,7 @@ use crate::viewing::graph::GraphWatch;
 use crate::viewing::pausing;
 use conicflow_dataflow::{ConfigFault, Context, Output, SideInput, SideInputs, Stage, StageError, monotonic_ns};
 use conicflow_messages::{Hinted, Item, Message, Nothing, Object, Track};
-use conicflow_view::{Depth, Display, Frame, List, Listen, ListenFault, Page, Server};
+use conicflow_view::{Depth, Display, Frame, List, Listen, ListenFault, Page, Server, give_way};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::marker::PhantomData;
@@ -19,8 +19,6 @@ use std::time::{Duration, Instant};
 const PERIOD: Duration = Duration::from_secs(1);
 /// How often is looked whether the sink has ended.
 const LOOK: Duration = Duration::from_millis(250);
-/// The page gives way to those at work.
-const NICENESS: i32 = 10;
 
 /// Parameters of `view_sink`.
 #[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
@@ -132,8 +130,7 @@ impl<T: Shown> Stage for ViewSink<T> {
 /// Tells once a second, while somebody looks, what the stages of the run do that this process is one of, and pauses it as is
 /// wished.
 fn show_graph(shown: &Weak<Display>) {
-    // On Linux each thread has a niceness of its own.
-    rustix::process::nice(NICENESS).ok();
+    give_way();
     let (mut watch, mut pipeline, mut looked) = (GraphWatch::default(), None::<String>, Instant::now());
     while let Some(display) = shown.upgrade() {
         if let Some((command, pipeline)) = display.next_command(LOOK).zip(pipeline.as_ref()) {

@@ -18,8 +18,15 @@ const MAX_CONNECTIONS: usize = 72;
 const PATIENCE: Duration = Duration::from_millis(1000);
 /// What a thread of a connection needs.
 const STACK_BYTES: usize = 256 * 1024;
-/// Who shows gives way to those at work.
+/// How far who shows gives way to those at work.
 const NICENESS: i32 = 10;
+
+/// Lets those at work go before this thread, and those that it starts, where processors are short. Where that is not allowed
+/// nothing else is lost.
+pub fn give_way() {
+    // On Linux each thread has a niceness of its own.
+    rustix::process::nice(NICENESS).ok();
+}
 
 /// What answers requests; those that may not be answered do not come here.
 pub trait Answer: Send + Sync + 'static {
@@ -120,8 +127,7 @@ fn reachable(unspecified: IpAddr) -> IpAddr {
 }
 
 fn accept(listener: &TcpListener, shared: &Arc<Shared>, ends: &AtomicBool) {
-    // On Linux a thread has a niceness of its own, and those that it starts have the same.
-    rustix::process::nice(NICENESS).ok();
+    give_way();
     for stream in listener.incoming() {
         if ends.load(Ordering::Relaxed) {
             return;
