@@ -274,9 +274,9 @@ mod tests {
         assert!(next.has_heard("base") && next.finished().count() == 1, "{next:?}");
     }
 
-    #[test]
-    fn a_bridge_ends_where_all_who_read_what_comes_have_ended_although_nobody_sends_it() {
-        let (folder, stop, [_, base]) = (tempfile::tempdir().unwrap(), Stop::default(), plans());
+    /// How a bridge ends whose readers have all ended, and which nobody sends anything.
+    fn ended_alone(stop: Stop) -> Option<Life> {
+        let (folder, [_, base]) = (tempfile::tempdir().unwrap(), plans());
         let mut reader = StatusFile::open(&folder.path().join("reader.status"), RUN).unwrap();
         reader.status.set_life(Life::Ended);
         reader.write();
@@ -284,12 +284,24 @@ mod tests {
             let (_ending, began) = (Ending([stop.clone()]), Instant::now());
             let bridge = scope.spawn(|| ended(&base, RUN, folder.path(), &stop));
             wait_until("it has ended", || bridge.is_finished());
-            assert_eq!(bridge.join().unwrap(), Some(Life::Ended));
             assert!(
                 began.elapsed() < 2 * END_PATIENCE,
                 "it waits for the other machine once, not for its messages and its word"
             );
-        });
+            bridge.join().unwrap()
+        })
+    }
+
+    #[test]
+    fn a_bridge_ends_where_all_who_read_what_comes_have_ended_although_nobody_sends_it() {
+        assert_eq!(ended_alone(Stop::default()), Some(Life::Ended));
+    }
+
+    #[test]
+    fn a_bridge_that_is_told_to_end_in_order_while_it_starts_comes_to_its_end_all_the_same() {
+        let stop = Stop::default();
+        stop.request();
+        assert_eq!(ended_alone(stop), Some(Life::Ended));
     }
 
     #[test]

@@ -32,11 +32,12 @@ pub(super) struct Sessions {
 type Take = Arc<dyn Fn(ZBytes) + Send + Sync>;
 
 impl Sessions {
-    /// Opens the sessions, as soon as that works; nothing if the run ends before. `failed` is called after each attempt.
+    /// Opens the sessions, as soon as that works; nothing if the run is made to end at once before. One that ends in order may have
+    /// to be told of on the other machines, also by a bridge that is only just starting. `failed` is called after each attempt.
     pub(super) fn open(machine: &Machine, stop: &Stop, mut failed: impl FnMut()) -> Result<Option<Self>, BridgeError> {
         let (streams, datagrams) = settings::configurations(machine)?;
         let mut told = false;
-        while !stop.requested() {
+        while !stop.forced() {
             match zenoh::open(streams.clone()).wait() {
                 Ok(streams) => {
                     let sessions = Self { streams, datagrams: Arc::default() };

@@ -363,11 +363,11 @@ impl<'a> Launcher<'a> {
         self.stages.iter_mut().for_each(Supervised::kill);
     }
 
-    /// How far the delivery is: messages that have been worked on, stages that are over, and those that were started anew, which
-    /// may have to wait for others as the ones before them had.
+    /// How far the delivery is: messages that have been worked on, stages that are over, and those that were started anew and are
+    /// at work by now, which may have to wait for others as the ones before them had.
     fn delivered(&self) -> u64 {
         let (summary, over) = (self.summary(), self.stages.iter().filter(|stage| stage.is_over()));
-        summary.worked_on() + summary.restarts() + over.count() as u64
+        summary.worked_on() + summary.restarts() + summary.joined() + over.count() as u64
     }
 
     fn summary(&self) -> Summary {
@@ -435,8 +435,10 @@ mod tests {
         assert_eq!(launcher.delivered(), 3 + 4 + 1);
         change_record(&launcher.folder, "first", |status| (status.steps, status.starts) = (2, 2));
         assert_eq!(launcher.delivered(), 2 + 4 + 1 + 1, "who waits for what does not come again has the time for it");
+        change_record(&launcher.folder, "first", |status| status.set_life(Life::Running));
+        assert_eq!(launcher.delivered(), 2 + 4 + 1 + 1 + 1, "from when it is at work on, however long that has taken");
         launcher.kill_all();
-        assert_eq!(launcher.delivered(), 2 + 4 + 2 + 1);
+        assert_eq!(launcher.delivered(), 2 + 4 + 2 + 1 + 1);
     }
 
     #[test]
