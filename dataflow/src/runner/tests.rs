@@ -10,7 +10,7 @@ use crate::ports::shared_memory::tests::{ReadingProcess, topic as shared_topic};
 use crate::ports::{Delivery, Reader, Received, Topic, TopicReader, Transport, Writer};
 use crate::relay::end_of_stream;
 use crate::stage::Stop;
-use crate::status::Life;
+use crate::status::{Life, Status};
 use crate::{Context, ItemType, Next, NoConfig, Output, RunError, SideInputs, Source, Stage, StageError};
 use bytemuck::cast_slice;
 use conicflow_messages::{AnyByte, Camera, Header, Message, Nothing, Object, ObjectKind, Text};
@@ -148,6 +148,29 @@ fn ending(reader: &str, peers: Peers) -> (InMemory, Topic, OutputPort<impl Write
     let writer = memory.writer::<Object>(&topic).unwrap();
     let output_port = OutputPort::new(Some((writer, topic.clone())), "stage", 3, peers, Stop::default());
     (memory, topic, output_port)
+}
+
+#[test]
+fn what_was_sent_is_counted_in_messages_and_in_bytes_of_their_headers_and_items() {
+    let (memory, topic, mut output_port) = ending("sink", Peers::default());
+    let _reader = memory.reader::<Object>(&topic, "sink").unwrap();
+    let objects = [ball(0.1), ball(0.2)];
+    let mut status = Box::new(Status::default());
+    let mut sent = |objects: &[Object], is_relayed: bool| {
+        let bytes = cast_slice(objects);
+        if is_relayed {
+            output_port.relay(&header(0), bytes).unwrap();
+        } else {
+            output_port.write(bytes).unwrap();
+            output_port.send(header(0), 0, None).unwrap();
+        }
+        output_port.tally(&mut status, 0);
+        (status.sent, status.sent_bytes as usize)
+    };
+    let message = |objects: usize| size_of::<Header>() + objects * size_of::<Object>();
+    assert_eq!(sent(&objects, false), (4, message(2)), "three were sent by the process before");
+    assert_eq!(sent(&[], false), (5, message(2) + message(0)));
+    assert_eq!(sent(&objects[1..], true), (6, message(2) + message(0) + message(1)));
 }
 
 /// How many messages there were, as the end says that this reader is told.
