@@ -262,4 +262,22 @@ mod tests {
         let fit = ArcMoments::of(&PlaneMoments::of([0.0, 1.0], line)).unwrap().fit();
         assert!(fit.line_square.abs() < 1e-12, "{fit:?}");
     }
+
+    #[test]
+    fn the_roots_of_cubics_that_bend_much_before_them_are_found_to_all_digits() {
+        for [a, b, c] in [[0.4, 1.0, 2.0], [0.9, 1.0, 1.1], [0.5, 0.7, 30.0], [-0.1, 0.9, 1.5]] {
+            let root = root_near_zero(&[-a * b * c, a * b + b * c + c * a, -(a + b + c), 1.0]);
+            assert!((root - a).abs() < 1e-8, "{root} {a}");
+        }
+    }
+
+    #[test]
+    fn a_circle_is_as_far_from_a_ring_and_its_middle_as_from_any_points() {
+        // The best circle about as many points in the middle as on the ring of radius 1 has the radius 1/sqrt(2): to first order
+        // all are 1/(2 sqrt(2)) off it.
+        let ring = (0..12).map(|i| f64::from(i) * std::f64::consts::PI / 6.0).map(|a| [a.cos(), 2.0 + a.sin()]);
+        let arc = ArcMoments::of(&PlaneMoments::of([0.0, 2.0], ring.chain([[0.0, 2.0]; 12]))).unwrap();
+        assert!((arc.circle_square() - 0.125).abs() < 1e-9 && (arc.line_square() - 0.25).abs() < 1e-9, "{arc:?}");
+        assert!(arc.is_circle_within(0.126) && !arc.is_circle_within(0.124));
+    }
 }

@@ -169,4 +169,33 @@ mod tests {
             assert!((a.dot(&b) - expected).abs() < 1e-14);
         }
     }
+
+    #[test]
+    fn pixels_and_lines_are_as_far_apart_as_their_points_in_the_plane_a_metre_ahead() {
+        let at = |camera: &Pinhole, scan, line, pixel| {
+            let plane = camera.plane(scan, line);
+            plane.to_camera([camera.ray_slope(scan, pixel), plane.stretch()])
+        };
+        let mirrored = Pinhole { fx: -525.0, fy: -520.0, ..CAMERA };
+        for (camera, scan) in
+            [(CAMERA, Scan::Row), (CAMERA, Scan::Column), (mirrored, Scan::Row), (mirrored, Scan::Column)]
+        {
+            let here = at(&camera, scan, 30.0, 70.0);
+            let along = (at(&camera, scan, 30.0, 71.0) - here).norm();
+            let across = (at(&camera, scan, 31.0, 70.0) - here).norm();
+            assert!((camera.pixel_pitch(scan) - along).abs() < 1e-14, "{scan:?}: {along}");
+            assert!((camera.line_pitch(scan) - across).abs() < 1e-14, "{scan:?}: {across}");
+        }
+    }
+
+    #[test]
+    fn the_angle_of_a_plane_is_that_of_its_view_to_the_optical_axis_towards_growing_lines() {
+        for line in [-900.0, 100.0, 239.5, 700.0] {
+            let plane = CAMERA.plane(Scan::Row, line);
+            let (forward, view) = (Vector3::z(), plane.t_axis());
+            let angle = forward.cross(&view).norm().atan2(forward.dot(&view));
+            let signed = if line < CAMERA.cy { -angle } else { angle };
+            assert!((plane.angle() - signed).abs() < 1e-14, "{line}");
+        }
+    }
 }

@@ -1,9 +1,9 @@
 //! Tests of contours on silhouettes of known surfaces.
 
 use super::*;
-use crate::simulated::{CAMERA, Random, seen};
+use crate::simulated::{CAMERA, Random, exact, of_exact, seen};
 use crate::space::monomials;
-use crate::{Conical, FixedSlope, FreeSlope, Scan, SpaceMoments, Sphere, fit_with_contour, section_of};
+use crate::{Conical, FixedSlope, FreeSlope, QUADRIC_TERMS, Scan, SpaceMoments, Sphere, fit_with_contour, section_of};
 use std::ops::Range;
 
 fn biased(mean: Vector4<f64>, sigmas: [f64; 2]) -> ContourBias {
@@ -321,4 +321,68 @@ fn the_noise_is_what_is_left_of_a_contour_by_the_bias_that_is_expected_and_seen(
     let variance = noise().point.dot(&Vector2::new(1.0, 144.0));
     let expected = contour.used() as f64 / (2.0 * variance * variance);
     assert!((matrix[(0, 0)] / expected - 1.0).abs() < 1e-9, "each square scatters by 2 v^2");
+}
+
+#[test]
+fn the_radius_of_curvature_is_that_of_the_surface_however_long_the_ray_and_however_steep_the_function() {
+    let (center, radius) = (Vector3::new(0.5, -0.4, 1.2), 0.3);
+    let q = Sphere { center, radius }.coefficients();
+    let sine = radius / center.norm();
+    for beside in [Vector3::x(), Vector3::y()].map(|x| center.cross(&x).normalize()) {
+        let ray = center.normalize() * (1.0 - sine * sine).sqrt() + beside * sine;
+        for (length, factor) in [(1.0, 1.0), (2.5, 1.0), (1.0, 4.0), (0.3, 0.2)] {
+            let (ray, q) = (ray * length, q.map(|q| q * factor));
+            let found = Along::new(&q, &ray, &Vector3::x()).curvature_radius(&q, &ray);
+            assert!((found - radius).abs() < 1e-9, "{found} of a ray of {length} and {factor} times the function");
+        }
+    }
+}
+
+#[test]
+fn the_slope_of_an_error_is_that_by_the_coefficients_however_long_the_rays_are() {
+    let q = FreeSlope(cup()).coefficients();
+    for Seen { point, .. } in contour(&cup(), 0.0).points {
+        let [ray, pixel, across] = [point.ray, point.pixel, point.across].map(|part| part * 1.7);
+        let point = ContourPoint { ray, pixel, across, ..point };
+        let (_, slope) = point.error_gradient(&q);
+        let largest = slope.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+        for k in 0..QUADRIC_TERMS {
+            let at = |h: f64| {
+                let mut changed = q;
+                changed[k] += h;
+                point.error_gradient(&changed).0
+            };
+            let measured = (at(1e-7) - at(-1e-7)) / 2e-7;
+            assert!((measured - slope[k]).abs() < 1e-4 * largest, "{k}: {measured} {}", slope[k]);
+        }
+    }
+}
+
+#[test]
+fn the_points_of_each_side_are_counted_and_their_radii_averaged() {
+    let mut contour = contour(&cup(), 0.0);
+    for (i, seen) in contour.points.iter_mut().enumerate() {
+        let line = i / 2;
+        seen.used = line < if seen.point.side == 0 { 10 } else { 4 };
+        seen.radius_px = if seen.point.side == 0 { 20.0 + line as f64 } else { 7.0 };
+    }
+    let ((first, of_first), (last, of_last)) = (contour.used_on(0), contour.used_on(1));
+    assert_eq!((first, last), (10, 4));
+    assert!((of_first - 24.5).abs() < 1e-12 && (of_last - 7.0).abs() < 1e-12, "{of_first} {of_last}");
+    contour.points.iter_mut().for_each(|seen| seen.used &= seen.point.side == 0);
+    assert_eq!(contour.used_on(1), (0, 0.0));
+}
+
+#[test]
+fn what_the_contour_tells_of_a_fit_is_in_metres_and_radians() {
+    let can = FixedSlope(Conical { slope: 0.0, ..cup() });
+    let points = of_exact(&seen(&can.coefficients(), 105..140, 0.0, exact));
+    let mut contour = contour_on(105..140, &can.coefficients(), 12.0, 0.3, noise());
+    contour.select(&can.coefficients(), |_| true);
+    let fit = fit_with_contour(&points, &contour, &can).unwrap();
+    let expected = term(&contour, &fit.surface).matrix;
+    for (i, j) in (0..5).flat_map(|i| (0..5).map(move |j| (i, j))) {
+        let size = (expected[(i, i)] * expected[(j, j)]).sqrt();
+        assert!((fit.contour[(i, j)] - expected[(i, j)]).abs() < 1e-6 * size, "{i} {j}: {} {expected}", fit.contour);
+    }
 }

@@ -226,6 +226,7 @@ fn null_vector(m: &Matrix3<f64>) -> Option<Vector3<f64>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::MOMENTS;
     use std::f64::consts::{FRAC_PI_2, PI};
 
     /// Points on an ellipse from one parameter angle to another.
@@ -349,5 +350,127 @@ mod tests {
         let conic = Conic { origin: [0.0, 0.0], coefficients: [1.0, 0.3, 4.0, 0.0, 0.1, -1.0] };
         let negated = Conic { coefficients: conic.coefficients.map(|x| -x), ..conic };
         assert_close(&negated.to_ellipse().unwrap(), &conic.to_ellipse().unwrap(), 1e-12);
+    }
+
+    /// Points about an ellipse that leans, seen on one side.
+    fn noisy_arc(semi_axes: [f64; 2], angle: f64, sigma: f64) -> PlaneMoments {
+        let points = arc(&sample(semi_axes, angle, [0.3, 1.2]), 0.3, 4.0, 60).into_iter().enumerate();
+        PlaneMoments::of([0.1, 1.0], points.map(|(i, [s, t])| [s + sigma * noise(2 * i), t + sigma * noise(2 * i + 1)]))
+    }
+
+    #[test]
+    fn of_all_conics_of_one_discriminant_the_fit_has_the_least_sum_of_squares() {
+        for (angle, sigma) in [(0.5, 0.03), (-1.1, 0.05), (0.8, 0.1), (2.0, 0.1), (0.0, 0.2)] {
+            let moments = noisy_arc([0.4, 0.25], angle, sigma);
+            let conic = fit_ellipse(&moments).unwrap();
+            let cost = |coefficients: [f64; 6]| {
+                let [a, b, c, ..] = coefficients;
+                Conic { coefficients, ..conic }.square_sum(&moments) / (4.0 * a * c - b * b)
+            };
+            let best = cost(conic.coefficients);
+            let size = conic.coefficients.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+            for (i, h) in (0..6).flat_map(|i| [1e-3, -1e-3, 3e-2, -3e-2].map(|h| (i, h))) {
+                let mut other = conic.coefficients;
+                other[i] += h * size;
+                assert!(cost(other) > best, "{i} by {h}, at {angle}");
+            }
+        }
+    }
+
+    #[test]
+    fn five_points_are_too_few_for_an_ellipse_and_six_of_one_give_it() {
+        let truth = sample([0.4, 0.2], 0.7, [1.0, 2.0]);
+        let some = |count| fit_ellipse(&PlaneMoments::of([1.0, 2.0], arc(&truth, 0.0, 5.0, count)));
+        assert_eq!(some(5), None);
+        assert_close(&some(6).unwrap().to_ellipse().unwrap(), &truth, 1e-6);
+    }
+
+    #[test]
+    fn points_on_a_line_of_any_slope_give_no_ellipse() {
+        for i in 0..200 {
+            let (sin, cos) = (0.0157 * f64::from(i)).sin_cos();
+            let line = (0..30).map(|j| 0.013 * f64::from(j)).map(|x| [0.3 + cos * x, 1.1 + sin * x]);
+            assert_eq!(fit_ellipse(&PlaneMoments::of([0.5, 1.3], line)), None, "{i}");
+        }
+    }
+
+    #[test]
+    fn a_thin_ellipse_is_found_however_it_leans() {
+        for angle in [0.785, -0.785, 0.3, 1.3, -0.2] {
+            let truth = sample([0.4, 0.02], angle, [0.3, 1.2]);
+            let found = fit_ellipse(&PlaneMoments::of([0.3, 1.2], arc(&truth, 0.0, 5.0, 60))).unwrap();
+            assert_close(&found.to_ellipse().unwrap(), &truth, 1e-6);
+        }
+    }
+
+    #[test]
+    fn moments_of_no_points_give_an_ellipse_or_nothing() {
+        let mut some = 0;
+        for i in 0..400 {
+            let mut sums = *noisy_arc([0.4, 0.25], 0.4, 0.05).about([0.3, 1.2]).sums();
+            // More noise may be taken off them than they have.
+            (10..MOMENTS).for_each(|k| sums[k] -= 0.02 * (1.0 + noise(MOMENTS * i + k)));
+            if let Some(conic) = fit_ellipse(&PlaneMoments::from_sums([0.3, 1.2], sums)) {
+                let [a, b, c, ..] = conic.coefficients;
+                assert!(4.0 * a * c > b * b, "{conic:?}");
+                some += 1;
+            }
+        }
+        assert!((40..360).contains(&some), "{some}");
+    }
+
+    #[test]
+    fn a_function_has_its_values_and_gradients_wherever_its_coefficients_are_taken() {
+        let conic = Conic { origin: [0.4, -0.3], coefficients: [1.3, -0.7, 2.1, 0.4, -0.9, 0.6] };
+        let value = |conic: &Conic, [s, t]: [f64; 2]| {
+            let (s, t) = (s - conic.origin[0], t - conic.origin[1]);
+            conic.coefficients.iter().zip([s * s, s * t, t * t, s, t, 1.0]).map(|(a, b)| a * b).sum::<f64>()
+        };
+        let points = arc(&sample([0.4, 0.2], 0.7, [1.0, 2.0]), 0.0, 5.0, 20);
+        let moved = conic.about([-0.8, 1.7]);
+        for point in &points {
+            assert!((value(&moved, *point) - value(&conic, *point)).abs() < 1e-12);
+        }
+        let slope = |[s, t]: [f64; 2]| {
+            let difference = |ds, dt| (value(&conic, [s + ds, t + dt]) - value(&conic, [s - ds, t - dt])) / 2e-4;
+            difference(1e-4, 0.0).powi(2) + difference(0.0, 1e-4).powi(2)
+        };
+        let expected: f64 = points.iter().map(|point| slope(*point)).sum();
+        let found = conic.gradient_square_sum(&PlaneMoments::of([0.1, 0.2], points));
+        assert!((found / expected - 1.0).abs() < 1e-9, "{found} {expected}");
+    }
+
+    #[test]
+    fn where_no_gradient_is_left_there_is_no_distance() {
+        let square = Conic { origin: [0.0, 0.0], coefficients: [1.0, 0.0, 0.0, 0.0, 0.0, 0.0] };
+        let mut sums = [0.0; MOMENTS];
+        (sums[0], sums[3], sums[10]) = (1.0, -1.0, 4.0);
+        assert_eq!(
+            square.rms(&PlaneMoments::from_sums([0.0, 0.0], sums)),
+            None,
+            "more noise was taken off than there was"
+        );
+        let huge = Conic { origin: [0.0, 0.0], coefficients: [0.0, 0.0, 0.0, 1.0, 0.0, 1e200] };
+        assert_eq!(huge.rms(&PlaneMoments::of([0.0, 0.0], [[0.0, 0.0]; 3])), None, "beyond all numbers");
+    }
+
+    #[test]
+    fn the_angle_is_that_of_the_longer_axis_and_that_of_an_upright_one_is_half_pi() {
+        let of = |coefficients| Conic { origin: [0.0, 0.0], coefficients }.to_ellipse().unwrap();
+        for angle in [0.0, 0.3, 1.2, 1.57, FRAC_PI_2, -0.3, -1.2, -1.57] {
+            let (sin, cos) = f64::sin_cos(angle);
+            // ((cos s + sin t) / 2)^2 + (cos t - sin s)^2 = 1
+            let (a, b, c) = (cos * cos / 4.0 + sin * sin, 2.0 * sin * cos * (0.25 - 1.0), sin * sin / 4.0 + cos * cos);
+            for sign in [1.0, -1.0] {
+                let ellipse = of([a, b, c, 0.0, 0.0, -1.0].map(|x| sign * x));
+                assert!((ellipse.angle - angle).abs() < 1e-12, "{} {angle}", ellipse.angle);
+            }
+        }
+        for lean in [0.0, -0.0, 1e-300, -1e-300] {
+            for sign in [1.0, -1.0] {
+                assert_eq!(of([4.0, lean, 1.0, 0.0, 0.0, -1.0].map(|x| sign * x)).angle, FRAC_PI_2, "{lean}");
+                assert!(of([1.0, lean, 4.0, 0.0, 0.0, -1.0].map(|x| sign * x)).angle.abs() < 1e-300, "{lean}");
+            }
+        }
     }
 }

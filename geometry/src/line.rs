@@ -231,4 +231,56 @@ mod tests {
         (0..9).for_each(|i| behind.add(&ScanPlane::new(Scan::Column, 0.1 * f64::from(i)), [0.0, -1.0]));
         assert_eq!(behind.fit(), None);
     }
+
+    #[test]
+    fn a_point_is_so_far_along_a_line_and_so_far_beside_it() {
+        let (point, direction) = (Vector3::new(1.0, -2.0, 3.0), Vector3::new(2.0, -1.0, 2.0) / 3.0);
+        let line = Line { point, direction, rms: 0.1, spread: 1.0, count: 9.0 };
+        let beside = Vector3::new(1.0, 2.0, 0.0).normalize();
+        for along in [0.7, -0.4] {
+            let other = point + direction * along + beside * 0.3;
+            assert!((line.position(&other) - along).abs() < 1e-12);
+            assert!((line.distance(&other) - 0.3).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn two_points_are_on_a_line_and_count_as_two() {
+        let [a, b] = [Vector3::new(1.0, 2.0, 3.0), Vector3::new(1.0, 2.4, 3.3)];
+        let mut sums = LineMoments::new(Vector3::new(1.0, 2.0, 2.0));
+        [a, b].iter().for_each(|point| sums.add(point));
+        assert_eq!(sums.count(), 2.0);
+        let line = sums.fit().unwrap();
+        assert!((line.point - (a + b) / 2.0).norm() < 1e-12 && (line.spread - 0.25).abs() < 1e-12, "{line:?}");
+        assert!(line.direction.cross(&(b - a)).norm() < 1e-7 && line.rms < 1e-7);
+    }
+
+    #[test]
+    fn what_rounding_leaves_of_equal_points_is_no_line_and_what_is_as_small_near_the_origin_is_one() {
+        for i in 0..20 {
+            let mut same = LineMoments::new(Vector3::zeros());
+            (0..7).for_each(|_| same.add(&Vector3::new(1000.1 + f64::from(i) / 3.0, 2000.2, 3000.3)));
+            assert_eq!(same.fit(), None, "{i}");
+        }
+        let mut small = LineMoments::new(Vector3::zeros());
+        (0..9).for_each(|i| small.add(&(Vector3::new(1.0, 2.0, 2.0) * (1e-6 * f64::from(i)))));
+        assert!(small.fit().unwrap().rms < 1e-12);
+    }
+
+    #[test]
+    fn the_spread_of_a_line_across_a_pencil_is_that_of_its_points() {
+        let (foot, direction) = (Vector3::new(0.1, 0.2, 1.5), Vector3::new(0.2, 0.8, -0.5).normalize());
+        let mut sums = PencilMoments::new(Scan::Column);
+        let mut along = Regression::default();
+        for i in 0..40 {
+            let plane = ScanPlane::new(Scan::Column, 0.12 + 0.0005 * f64::from(i));
+            let normal = plane.normal();
+            let position = -foot.dot(&normal) / direction.dot(&normal);
+            sums.add(&plane, plane.to_plane(&(foot + direction * position)));
+            along.add(position, 0.0);
+        }
+        let line = sums.fit().unwrap();
+        assert!((line.spread / along.spread() - 1.0).abs() < 0.01, "{line:?} {}", along.spread());
+        assert!((line.direction - direction).norm() < 1e-9, "towards growing slopes");
+    }
 }

@@ -293,4 +293,43 @@ mod tests {
         assert!(unit.get(1, 0).abs() < 1e-12 && unit.get(0, 1).abs() < 1e-12);
         assert!((unit.get(2, 0) + unit.get(0, 2) - 1.0).abs() < 1e-12);
     }
+
+    #[test]
+    fn an_origin_that_moves_along_one_axis_alone_is_seen_too() {
+        for origin in [[1.1, 0.4], [-0.5, 1.7], [-0.5, 0.4]] {
+            assert_same(&PlaneMoments::of([-0.5, 0.4], points()).about(origin), &PlaneMoments::of(origin, points()));
+        }
+    }
+
+    #[test]
+    fn variances_are_about_the_mean_wherever_the_origin_is() {
+        // The means are 3 and 5.
+        let points = [[1.0, 2.0], [2.0, 4.0], [6.0, 9.0]];
+        let expected = [(4.0 + 1.0 + 9.0) / 3.0, (6.0 + 1.0 + 12.0) / 3.0, (9.0 + 1.0 + 16.0) / 3.0];
+        for origin in [[3.0, 5.0], [0.0, 0.0], [-2.0, 7.0]] {
+            let found = PlaneMoments::of(origin, points).covariance().unwrap();
+            assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{found:?} about {origin:?}");
+        }
+        assert_eq!(PlaneMoments::new([1.0, 2.0]).covariance(), None);
+    }
+
+    #[test]
+    fn points_are_told_apart_by_how_near_they_are_to_the_origin_of_their_sums() {
+        let corners = |[s, t]: [f64; 2], side: f64| [[s, t], [s + side, t], [s, t + side], [s + side, t + side]];
+        let spread = |origin, points| PlaneMoments::of(origin, points).normalized().map(|(_, spread, _)| spread);
+        for place in [[1e6, 0.0], [0.0, 1e6], [0.0, 0.0]] {
+            let near = spread(place, corners(place, 0.25)).unwrap();
+            assert!((near - 0.25 / 2.0_f64.sqrt()).abs() < 1e-6, "{near} at {place:?}");
+            let middle = place.map(|x| x + 0.125);
+            let about_the_middle = spread(middle, corners(place, 0.25)).unwrap();
+            assert!((about_the_middle - 0.25 / 2.0_f64.sqrt()).abs() < 1e-12);
+            assert_eq!(spread(place, [place; 4]), None, "equal points");
+        }
+        for i in 0..20 {
+            let far = 1e6 + f64::from(i) / 7.0;
+            for place in [[far, 0.0], [0.0, far], [far, -far]] {
+                assert_eq!(spread([0.0, 0.0], [place; 4]), None, "what rounding left of equal points is no spread");
+            }
+        }
+    }
 }

@@ -41,7 +41,8 @@ fn rays_meet_a_surface_within_its_outline() {
     let leaning = Vector3::new(0.2, 0.9, -0.4).normalize();
     let can = FixedSlope(Conical { point: center, axis: leaning, radius: 0.4, slope: 0.0 }).coefficients();
     for step in 0..400 {
-        let ray = Vector3::new(f64::from(step % 20) - 8.0, f64::from(step / 20) - 11.0, 10.0) * 0.1;
+        // How long it is does not matter.
+        let ray = Vector3::new(f64::from(step % 20) - 8.0, f64::from(step / 20) - 11.0, 10.0) * 0.03;
         let to_ball = ray.cross(&center).norm() / ray.norm();
         assert_eq!(meets(&ball, &ray), to_ball < 0.4, "a ball, by {ray}");
         let beside = ray.cross(&leaning);
@@ -175,4 +176,57 @@ fn lines_that_share_where_they_see_the_contour_count_as_one() {
     let fit = SurfaceFit { surface, square_sum: 0.0, contour_sum: 0.0, inverse, contour };
     let variance = |shared_lines: f64| GradientNoise::new(&surface).covariance(&fit, shared_lines)[(3, 3)];
     assert!((variance(1.0) - 0.04).abs() < 1e-12 && (variance(5.0) - 0.2).abs() < 1e-12);
+}
+
+#[test]
+fn a_prediction_adds_what_is_not_known_of_the_place_to_what_is_not_known_of_the_size() {
+    let surface = Sphere { center: Vector3::new(0.1, -0.2, 1.5), radius: 0.15 };
+    let inverse = SMatrix::from_diagonal(&SVector::from([1e-4, 4e-4, 9e-4, 25e-4]));
+    let prediction =
+        Prediction::new(&SurfaceFit { surface, square_sum: 0.0, contour_sum: 0.0, inverse, contour: inverse });
+    let on = |direction: Vector3| prediction.variance(&(surface.center + direction * surface.radius));
+    assert!((on(Vector3::x()) - 26e-4).abs() < 1e-12 && (on(-Vector3::y()) - 29e-4).abs() < 1e-12);
+    assert!((on(Vector3::new(0.6, 0.0, -0.8)) - (25.0 + 0.36 + 0.64 * 9.0) * 1e-4).abs() < 1e-12);
+}
+
+#[test]
+fn a_damped_step_solves_the_equations_with_that_share_added_to_each_parameter() {
+    let matrix = SMatrix::<f64, 2, 2>::new(4.0, 2.0, 2.0, 9.0) * 1e-6;
+    let gradient = SVector::<f64, 2>::new(-12e-6, 7e-6);
+    let system = System { square_sum: 0.0, contour_sum: 0.0, gradient, matrix, contour: matrix };
+    // 6 x + 2 y = 12, 2 x + 13.5 y = -7
+    let [x, y] = system.step(0.5).unwrap();
+    assert!((x - 176.0 / 77.0).abs() < 1e-9 && (y + 66.0 / 77.0).abs() < 1e-9, "{x} {y}");
+}
+
+#[test]
+fn a_direction_that_points_tell_less_than_nothing_of_is_known_badly_and_the_others_as_they_are() {
+    for units in [[1.0, 1.0], [0.01, 3.0], [20.0, 0.5]] {
+        let unit = SMatrix::<f64, 2, 2>::from_diagonal(&SVector::from(units));
+        let matrix = unit * SMatrix::<f64, 2, 2>::new(1.0, 1.00001, 1.00001, 1.0) * unit;
+        let system = System { square_sum: 0.0, contour_sum: 0.0, gradient: SVector::zeros(), matrix, contour: matrix };
+        let inverse = unit * system.inverse(1.0, &[true; 2]).unwrap() * unit;
+        // (x + y) / sqrt(2) is of curvature 2, and of (x - y) / sqrt(2) there is a ten thousandth of the others'.
+        let [sum, difference] = [[1.0, 1.0], [1.0, -1.0]].map(SVector::from).map(|v| v.dot(&(inverse * v)) / 2.0);
+        assert!(
+            (sum - 0.5).abs() < 1e-3 && (5e3..2e4).contains(&difference),
+            "{sum} {difference} in units of {units:?}"
+        );
+    }
+}
+
+#[test]
+fn the_limit_of_a_fit_may_be_near_its_best_sum() {
+    let sphere = Sphere { center: Vector3::new(0.0, 0.0, 1.5), radius: 0.15 };
+    let mut pool = SpaceMoments::default();
+    pool.add(&seen(&sphere.coefficients(), 96..144, 0.0, exact), 1.0 / 9e-6);
+    let pool = pool.normalized().unwrap();
+    for radius in [0.1, 0.12, 0.2] {
+        let start = FixedSlope(Conical { radius, ..can(1.5) });
+        let best = fit_surface(&pool, &start, f64::INFINITY).unwrap().square_sum;
+        for share in [0.2, 0.5, 0.8, 0.9, 0.95] {
+            assert_eq!(fit_surface(&pool, &start, share * best), None, "{share} of {best} from {radius} m");
+        }
+        assert!(fit_surface(&pool, &start, 1.01 * best).is_some());
+    }
 }

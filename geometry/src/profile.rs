@@ -68,6 +68,7 @@ pub fn fit_circle_profile(pairs: &PlaneMoments) -> Option<CircleProfile> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Regression;
     use crate::simulated::Random;
 
     fn pairs(radius: impl Fn(f64) -> f64) -> PlaneMoments {
@@ -123,5 +124,46 @@ mod tests {
         assert_eq!(fit_line_profile(&same), None);
         assert_eq!(fit_circle_profile(&same), None);
         assert_eq!(fit_circle_profile(&PlaneMoments::of([0.0, 0.0], [[0.0, 0.2], [1.0, 0.2]])), None);
+    }
+
+    #[test]
+    fn a_line_profile_is_the_regression_of_the_radius_over_the_place() {
+        for count in [3, 4, 9, 30] {
+            let pairs: Vec<_> = (0..count)
+                .map(|i| 0.4 + 0.01 * f64::from(i))
+                .map(|z| [z, 0.1 + 0.3 * z + 0.02 * (937.0 * z).sin()])
+                .collect();
+            let mut sums = Regression::default();
+            pairs.iter().for_each(|[z, r]| sums.add(*z, *r));
+            let numbers = |fit: Fit| [fit.middle, fit.value, fit.slope, fit.rms, fit.value_sigma, fit.slope_sigma];
+            let found = numbers(fit_line_profile(&PlaneMoments::of([0.5, 0.1], pairs)).unwrap());
+            for (a, b) in found.into_iter().zip(numbers(sums.fit().unwrap())) {
+                assert!((a - b).abs() < 1e-9, "{a} {b} of {count}");
+            }
+        }
+    }
+
+    #[test]
+    fn two_sections_have_no_profile() {
+        let two = PlaneMoments::of([0.0, 0.0], [[0.0, 0.2], [1.0, 0.3]]);
+        assert_eq!(fit_line_profile(&two), None);
+        assert_eq!(fit_circle_profile(&two), None);
+    }
+
+    #[test]
+    fn the_mean_square_distance_from_a_circle_of_few_sections_is_that_of_their_noise() {
+        for count in [3_u32, 6, 12] {
+            let mut random = Random(11);
+            let mut square = || {
+                let z = |i: u32| -0.12 + 0.24 * f64::from(i) / f64::from(count - 1);
+                let points = (0..count).map(|i| [z(i), (0.0225 - z(i).powi(2)).sqrt()]);
+                // Noise across the circle.
+                let noisy =
+                    points.map(|point| (point, 1.0 + 0.001 * random.normal() / 0.15)).map(|([z, r], g)| [g * z, g * r]);
+                fit_circle_profile(&PlaneMoments::of([0.0, 0.0], noisy)).unwrap().rms.powi(2)
+            };
+            let mean = (0..2000).map(|_| square()).sum::<f64>() / 2000.0;
+            assert!((mean / 1e-6 - 1.0).abs() < 0.1, "{mean} of {count}");
+        }
     }
 }

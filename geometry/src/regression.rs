@@ -120,4 +120,36 @@ mod tests {
         assert_eq!(sums.fit(), None);
         assert_eq!((sums.count(), sums.mean(), sums.deviation()), (9.0, 3.0, 0.0));
     }
+
+    #[test]
+    fn three_pairs_have_one_degree_of_freedom_left_for_their_scatter() {
+        let mut sums = Regression::default();
+        for (x, y) in [(10.0, 0.0), (11.0, 1.0)] {
+            sums.add(x, y);
+            assert_eq!(sums.fit(), None);
+        }
+        sums.add(12.0, 0.0);
+        let fit = sums.fit().unwrap();
+        // The residuals are -1/3, 2/3, -1/3, and the x are 1 off their mean on both sides.
+        let rms = (6.0_f64 / 9.0).sqrt();
+        let expected = [11.0, 1.0 / 3.0, 0.0, rms, rms / 3.0_f64.sqrt(), rms / 2.0_f64.sqrt()];
+        let found = [fit.middle, fit.value, fit.slope, fit.rms, fit.value_sigma, fit.slope_sigma];
+        assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{fit:?}");
+    }
+
+    #[test]
+    fn the_spread_of_x_is_that_of_these_and_the_deviation_of_y_that_of_all_they_are_drawn_from() {
+        let mut sums = Regression::default();
+        assert_eq!((sums.spread(), sums.deviation()), (0.0, 0.0));
+        sums.add(7.0, -3.0);
+        assert_eq!((sums.spread(), sums.deviation()), (0.0, 0.0));
+        sums.add(1.0, 5.0);
+        assert!((sums.deviation() - 32.0_f64.sqrt()).abs() < 1e-12, "4 off the mean, twice, and one of two is free");
+        sums.add(4.0, 7.0);
+        assert!((sums.spread() - 6.0_f64.sqrt()).abs() < 1e-12, "3, 3 and 0 off the mean");
+        assert!(
+            (sums.deviation() - 28.0_f64.sqrt()).abs() < 1e-12,
+            "6, 2 and 4 off the mean, and two of three are free"
+        );
+    }
 }

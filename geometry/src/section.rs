@@ -78,6 +78,15 @@ mod tests {
         section_about(&surface.coefficients(), plane, [0.0, 0.0]).to_ellipse().unwrap()
     }
 
+    /// Points on a part of an ellipse.
+    fn arc(ellipse: &crate::Ellipse) -> impl Iterator<Item = [f64; 2]> {
+        let ((sin, cos), [long, short], center) = (ellipse.angle.sin_cos(), ellipse.semi_axes, ellipse.center);
+        (0..20)
+            .map(|i| 4.0 + 0.05 * f64::from(i))
+            .map(move |a: f64| (long * a.cos(), short * a.sin()))
+            .map(move |(x, y)| [center[0] + cos * x - sin * y, center[1] + sin * x + cos * y])
+    }
+
     #[test]
     fn the_extents_of_a_cut_cylinder_give_its_radius() {
         let axis = Vector3::new(0.3, 0.9, -0.5).normalize();
@@ -115,13 +124,8 @@ mod tests {
         let cylinder = Conical { point: Vector3::new(0.1, 0.2, 2.0), axis, radius: 0.15, slope: 0.0 };
         let plane = CAMERA.plane(Scan::Row, 200.0);
         let ellipse = cut(&cylinder, &plane);
-        let (sin, cos) = ellipse.angle.sin_cos();
-        let [long, short] = ellipse.semi_axes;
-        let points = (0..20).map(|i| 4.0 + 0.05 * f64::from(i)).map(|a: f64| (long * a.cos(), short * a.sin()));
-        let points =
-            points.map(|(x, y)| [ellipse.center[0] + cos * x - sin * y, ellipse.center[1] + sin * x + cos * y]);
         let shape = SectionShape::new(&plane, &axis, 0.0).unwrap();
-        let found = shape.fit(&PlaneMoments::of([0.0, 1.8], points)).unwrap();
+        let found = shape.fit(&PlaneMoments::of([0.0, 1.8], arc(&ellipse))).unwrap();
         assert!((found.radius - 0.15).abs() < 1e-6, "{found:?}");
         assert!((found.center[0] - ellipse.center[0]).hypot(found.center[1] - ellipse.center[1]) < 1e-6);
     }
@@ -131,5 +135,17 @@ mod tests {
         let plane = CAMERA.plane(Scan::Row, 119.5);
         assert_eq!(SectionShape::new(&plane, &Vector3::x(), 0.0), None);
         assert_eq!(SectionShape::new(&plane, &Vector3::new(0.0, 0.3, 0.95).normalize(), 0.4), None);
+    }
+
+    #[test]
+    fn an_arc_of_a_tilted_cone_gives_the_radius_where_the_axis_pierces_the_plane() {
+        let axis = Vector3::new(0.1, 0.85, -0.5).normalize();
+        let cone = Conical { point: Vector3::new(0.05, 0.1, 1.7), axis, radius: 0.15, slope: 0.4_f64.tan() };
+        let plane = CAMERA.plane(Scan::Row, 120.0);
+        let ellipse = cut(&cone, &plane);
+        let found =
+            SectionShape::new(&plane, &axis, 0.4).unwrap().fit(&PlaneMoments::of([0.0, 1.6], arc(&ellipse))).unwrap();
+        assert!((found.radius - cone.pierced_by(&plane).radius).abs() < 1e-6, "{found:?}");
+        assert!((found.center[0] - ellipse.center[0]).hypot(found.center[1] - ellipse.center[1]) < 1e-6);
     }
 }

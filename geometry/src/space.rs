@@ -289,4 +289,30 @@ mod tests {
         let same = SpaceMoments::of_arc(&plane, &PlaneMoments::of([0.0, 1.0], [[0.0, 1.0]; 5]));
         assert_eq!(same.normalized(), None);
     }
+
+    #[test]
+    fn the_least_variance_is_the_mean_square_distance_from_the_best_plane() {
+        let normal = Vector3::new(0.2, -0.3, -1.0).normalize();
+        let mut pool = SpaceMoments::default();
+        for row in [60.0, 90.0, 150.0] {
+            let plane = CAMERA.plane(Scan::Row, row);
+            // Where the rays meet the plane 1.5 m away, and as far before it as behind it.
+            let points = (0..40).map(|i| 0.01 * f64::from(i / 2)).zip([0.02, -0.02].into_iter().cycle());
+            let on = |x: f64, off: f64| {
+                let ray = plane.to_camera([x, plane.stretch()]);
+                let depth = (-1.5 + off) / normal.dot(&ray);
+                [x * depth, plane.stretch() * depth]
+            };
+            let arc = PlaneMoments::of([0.1, 1.5], points.map(|(x, off)| on(x, off)));
+            pool.add(&SpaceMoments::of_arc(&plane, &arc), 2.5);
+        }
+        let variance = pool.least_variance();
+        assert!((variance / 0.0004 - 1.0).abs() < 0.02, "{variance}");
+    }
+
+    #[test]
+    fn equal_points_without_a_rounding_error_have_no_normal_form_either() {
+        let same = PlaneMoments::of([0.0, 1.0], [[0.0, 1.0]; 4]);
+        assert_eq!(SpaceMoments::of_arc(&CAMERA.plane(Scan::Row, CAMERA.cy), &same).normalized(), None);
+    }
 }

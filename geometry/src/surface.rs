@@ -424,4 +424,26 @@ mod tests {
             assert!((there - value(&q, &plane.to_camera([s, t]))).abs() < 1e-12);
         }
     }
+
+    #[test]
+    fn the_half_angle_is_that_between_axis_and_side() {
+        let cone = cone();
+        let on_the_side = cone.point + cone.across()[0] * cone.radius;
+        let side = on_the_side - cone.apex();
+        let angle = side.cross(&cone.axis).norm().atan2(side.dot(&cone.axis));
+        assert!((cone.half_angle() - angle).abs() < 1e-12, "{angle}");
+    }
+
+    #[test]
+    fn a_step_to_no_radius_or_to_no_axis_leads_to_no_surface() {
+        let cone = FreeSlope(cone());
+        for step in [
+            [0.0, 0.0, 0.0, 0.0, -0.8, 0.0],
+            [f64::NAN, 0.0, 0.0, 0.0, 0.0, 0.0],
+            [0.0, f64::INFINITY, 0.0, 0.0, 0.0, 0.0],
+        ] {
+            assert_eq!(cone.moved(&step), None, "{step:?}");
+        }
+        assert_eq!(Sphere { center: Vector3::zeros(), radius: 0.3 }.moved(&[0.0, 0.0, 0.0, -0.3]), None);
+    }
 }
