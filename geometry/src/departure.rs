@@ -114,4 +114,52 @@ mod tests {
         println!("chi squared of two numbers: {square:.2}");
         assert!((0.3..2.0).contains(&square), "{square}");
     }
+
+    /// A ball with noise, and what is fitted to it.
+    fn noisy_ball() -> (QuadricMoments, SurfaceFit<Sphere, 4>) {
+        let ball = Sphere { center: Vector3::new(0.1, 0.05, 1.3), radius: 0.15 };
+        let mut random = Random(3);
+        let points = of_exact(&seen(&ball.coefficients(), 60..180, 0.0, |z| (z + 0.01 * random.normal(), 0.0)));
+        let round = fit_surface(&points, &ball, f64::INFINITY).unwrap();
+        (points, round)
+    }
+
+    #[test]
+    fn a_form_departs_as_much_whatever_part_of_the_surface_itself_is_in_it() {
+        let (points, round) = noisy_ball();
+        let found = |part: f64| {
+            let forms = |ball: &Sphere| ball.departures().map(|form| departed(form, &[ball.coefficients()], &[part]));
+            departure::<_, 4, 5, 9>(&points, &Contour::default(), &round, forms).unwrap().0
+        };
+        let expected = found(0.0);
+        for part in [-2.5, 0.3, 4.0] {
+            assert!((found(part) - expected).norm() < 1e-6 * expected.norm(), "{part}");
+        }
+    }
+
+    /// A step of Gauss and Newton of F over its gradient where the surface is nearest to the mean of the points, with slopes by
+    /// differences.
+    #[test]
+    fn departures_are_the_least_squares_of_what_has_the_gradient_of_the_surface_in_the_middle() {
+        let (points, round) = noisy_ball();
+        let ball = round.surface.to_local(&points.origin, points.scale);
+        let middle = ball.center - ball.center.normalize() * ball.radius;
+        let at = |i: usize, h: f64| -> Coefficients {
+            let step = std::array::from_fn(|k| if k == i { h } else { 0.0 });
+            let moved = ball.moved(&step).unwrap().coefficients();
+            let q = if i < 4 { moved } else { departed(moved, &[ball.departures()[i - 4]], &[h]) };
+            q.map(|x| x / gradient(&q, &middle).norm())
+        };
+        let slopes: [Coefficients; 9] = std::array::from_fn(|i| {
+            let (more, less) = (at(i, 1e-5), at(i, -1e-5));
+            std::array::from_fn(|k| (more[k] - less[k]) / 2e-5)
+        });
+        let product = |a: &Coefficients, b: &Coefficients| crate::space::dot(&points.times(a), b);
+        let matrix = SMatrix::<f64, 9, 9>::from_fn(|i, j| product(&slopes[i], &slopes[j]));
+        let half_gradient = SVector::<f64, 9>::from_fn(|i, _| product(&slopes[i], &at(i, 0.0)));
+        let expected = (matrix.try_inverse().unwrap() * -half_gradient).fixed_rows::<5>(4).into_owned();
+        let (found, _) = departure::<_, 4, 5, 9>(&points, &Contour::default(), &round, Sphere::departures).unwrap();
+        // The middle is told to first order.
+        assert!((found - expected).norm() < 0.3 * expected.norm(), "{found} {expected}");
+    }
 }

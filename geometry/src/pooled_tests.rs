@@ -230,3 +230,21 @@ fn the_limit_of_a_fit_may_be_near_its_best_sum() {
         assert!(fit_surface(&pool, &start, 1.01 * best).is_some());
     }
 }
+
+#[test]
+fn from_a_start_whose_first_step_goes_too_far_or_gains_little_a_fit_comes_to_its_surface_and_is_not_given_up() {
+    let axis = Vector3::new(0.3, 0.9, -0.4).normalize();
+    let can = Conical { point: Vector3::new(0.1, 0.0, 1.3), axis, radius: 0.12, slope: 0.0 };
+    let mut pool = SpaceMoments::default();
+    pool.add(&seen(&FixedSlope(can).coefficients(), 80..160, 0.0, exact), 1.0 / 9e-6);
+    let pool = pool.normalized().unwrap();
+    let [u, v] = can.across();
+    for (tilt, radius, behind) in [(0.3, 0.3, 0.3), (0.3, 1.0, 0.3), (0.6, 0.3, -0.1), (0.0, 0.06, -0.1)] {
+        let axis = (axis + (u * 0.6 + v * 0.8) * tilt).normalize();
+        let start = FixedSlope(Conical { point: can.point + Vector3::z() * behind, axis, radius, slope: 0.0 });
+        let best = fit_surface(&pool, &start, f64::INFINITY).unwrap();
+        let found = best.surface.0.anchored(&can.point);
+        assert!((found.radius - 0.12).abs() < 1e-4 && found.axis.cross(&can.axis).norm() < 1e-4, "{found:?}");
+        assert_eq!(fit_surface(&pool, &start, 1.0), Some(best), "from {start:?}");
+    }
+}
