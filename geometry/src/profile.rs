@@ -166,4 +166,10 @@ mod tests {
             assert!((mean / 1e-6 - 1.0).abs() < 0.1, "{mean} of {count}");
         }
     }
+
+    #[test]
+    fn what_is_beyond_all_numbers_is_no_circle() {
+        let far = PlaneMoments::of([0.0, 0.0], [[0.0, 1e100], [1.0, 2e100], [2.0, 5e100]]);
+        assert_eq!(fit_circle_profile(&far), None);
+    }
 }
