@@ -248,3 +248,22 @@ fn from_a_start_whose_first_step_goes_too_far_or_gains_little_a_fit_comes_to_its
         assert_eq!(fit_surface(&pool, &start, 1.0), Some(best), "from {start:?}");
     }
 }
+
+#[test]
+fn where_moments_tell_less_than_nothing_of_a_direction_a_fit_goes_on_in_the_others() {
+    let sphere = Sphere { center: Vector3::new(0.0, 0.0, 1.5), radius: 0.15 };
+    let mut pool = SpaceMoments::default();
+    pool.add(&seen(&sphere.coefficients(), 96..144, 0.0, exact), 1.0 / 9e-6);
+    let mut pool = pool.normalized().unwrap();
+    let start = Sphere { center: Vector3::new(0.03, -0.02, 1.52), radius: 0.14 };
+    // A tenth more is taken off than they tell of a ball that grows as it goes away.
+    let [_, _, depth, radius] = start.to_local(&pool.origin, pool.scale).derivatives();
+    let both: Coefficients = std::array::from_fn(|i| depth[i] + radius[i]);
+    let told = pool.times(&both);
+    let factor = 1.1 / dot(&told, &both);
+    for (row, of_row) in pool.matrix.iter_mut().zip(told) {
+        row.iter_mut().zip(told).for_each(|(entry, of_column)| *entry -= factor * of_row * of_column);
+    }
+    let center = fit_surface(&pool, &start, f64::INFINITY).unwrap().surface.center;
+    assert!(center.x.abs() < 0.005 && center.y.abs() < 0.005, "{center}");
+}
