@@ -298,6 +298,23 @@ mod tests {
     }
 
     #[test]
+    fn what_falls_goes_down_with_the_square_of_the_time_and_comes_from_where_it_was() {
+        let mut motion = Motion::new(Vector3::new(1.0, 2.0, 3.0), isotropic(0.01), 2.0);
+        motion.state[3] = 0.4;
+        motion.acceleration = Vector3::new(0.0, 10.0, 0.0);
+        let before = motion.clone();
+        for (dt, fallen) in [(0.5, 1.25), (2.0, 20.0), (-1.0, 5.0)] {
+            motion.move_in_time(dt);
+            assert!((motion.position() - Vector3::new(1.0 + 0.4 * dt, 2.0 + fallen, 3.0)).norm() < 1e-12, "{dt} s");
+            assert!((motion.velocity() - Vector3::new(0.4, 10.0 * dt, 0.0)).norm() < 1e-12, "{dt} s");
+            motion.move_in_time(-dt);
+            assert!(
+                (motion.state - before.state).norm() < 1e-12 && (motion.covariance - before.covariance).norm() < 1e-9
+            );
+        }
+    }
+
+    #[test]
     fn a_kick_is_an_uncertain_velocity_before_the_step() {
         let before = Motion::new(Vector3::zeros(), isotropic(0.01), 0.5);
         let mut kicked_before = Motion::new(Vector3::zeros(), isotropic(0.01), 0.5_f64.hypot(3.0));

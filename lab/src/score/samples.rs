@@ -84,3 +84,26 @@ impl Score {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_is_told_of_what_was_found_and_has_a_shape_that_can_have_it() {
+        let comparison = Comparison { position_m: 0.002, radius_m: 0.1, axis: 0.2, half_angle: -0.05 };
+        let all = [2.0, 0.2_f64.to_degrees(), 0.05_f64.to_degrees()];
+        for (shape, errors) in [(ObjectKind::Sphere, 1), (ObjectKind::Cylinder, 2), (ObjectKind::Cone, 3)] {
+            let object = Object { kind: shape.code(), ..Object::default() };
+            let missed = Sample::of(0, &object);
+            let found = Sample { found: Some((comparison, Sigmas::default())), ..missed };
+            let told =
+                |sample: &Sample| [sample.position_error_mm(), sample.axis_error_deg(), sample.half_angle_error_deg()];
+            assert_eq!(told(&missed), [None; 3]);
+            for (i, (error, expected)) in told(&found).into_iter().zip(all).enumerate() {
+                assert_eq!(error.is_some(), i < errors, "{shape:?}");
+                assert!(error.is_none_or(|error| (error - expected).abs() < 1e-9), "{shape:?}: {error:?}");
+            }
+        }
+    }
+}

@@ -71,6 +71,18 @@ fn a_camera_slower_than_tracks_may_coast_keeps_identities() {
     }
 }
 
+/// Frames that came every two seconds.
+#[test]
+fn a_gap_is_usual_that_is_at_most_half_as_long_again_as_the_one_before() {
+    for (gap, id) in [(84, 1), (96, 2)] {
+        let mut tracker = Tracker::new(TrackerParameters { max_coast_s: 0.5, ..TrackerParameters::default() });
+        for frame in [0, 60, 120, 180, 180 + gap] {
+            tracker.update_frame(&header(frame), &[sphere(Vector3::new(0.0, 0.0, 2.0))]);
+        }
+        assert_eq!(ids(tracker.tracks()), [id], "after {} s", seconds(gap));
+    }
+}
+
 #[test]
 fn crossing_objects_keep_their_identities() {
     for second in [cylinder, sphere] {

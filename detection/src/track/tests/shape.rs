@@ -119,6 +119,19 @@ fn a_cone_seen_as_a_cylinder_keeps_the_sense_of_its_axis() {
 }
 
 #[test]
+fn a_cylinder_seen_as_a_cone_stays_where_it_is_whichever_way_that_points_and_a_cone_turns_to_it() {
+    let place = Vector3::new(0.0, 0.0, 1.0);
+    let upside_down = Object { axis: Vector3::new(0.1, -1.0, 0.0).normalize().into(), ..cone(place) };
+    for (seen, cosine) in [(cone(place), -1.0..0.9), (Object { axis: [0.0, 1.0, 0.0], ..cylinder(place) }, 0.99..1.0)] {
+        let mut tracker = Tracker::new(TrackerParameters::default());
+        (0..5).for_each(|frame| _ = tracker.update_frame(&header(frame), &[seen]));
+        let track = tracker.update_frame(&header(5), &[upside_down])[0];
+        assert_eq!((track.id, track.object.kind), (1, seen.kind));
+        assert!(cosine.contains(&track.object.axis[1]), "{:?}", track.object.axis);
+    }
+}
+
+#[test]
 fn a_cone_fits_together() {
     let mut tracker = Tracker::new(TrackerParameters::default());
     let mut noise = Noise(2);
