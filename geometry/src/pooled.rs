@@ -87,7 +87,7 @@ fn fit<S: Surface<N>, const N: usize>(
             None if length < SHORT => converged = true,
             None => damping = (damping * 10.0).max(1e-6),
         }
-        if converged || damping > 1e6 {
+        if converged {
             break;
         }
     }
