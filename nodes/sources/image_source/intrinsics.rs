@@ -50,7 +50,8 @@ impl CameraFile {
     fn another_beside(&self) -> Option<&'static str> {
         let is_another = |name: &&str| {
             let other = self.path.with_file_name(name);
-            let agrees = |other: Self| (other.intrinsics, other.size) == (self.intrinsics, self.size);
+            let is_as_large = |other: &Self| other.size.zip(self.size).is_none_or(|(other, own)| other == own);
+            let agrees = |other: Self| other.intrinsics == self.intrinsics && is_as_large(&other);
             other.is_file() && !Self::read(&other).is_ok_and(agrees)
         };
         NAMES.into_iter().find(is_another)
@@ -270,6 +271,7 @@ mod tests {
         assert_eq!(another(OPEN3D), None, "it is alone");
         fs::write(folder.path().join("camera.json"), MINE).unwrap();
         assert_eq!(another(OPEN3D), None, "they agree");
+        assert_eq!(another(&OPEN3D.replace("\"width\": 64, \"height\": 48, ", "")), None, "it tells no size");
         assert_eq!(another(&OPEN3D.replace("52.5", "60")), Some("camera_intrinsics.json"));
     }
 
