@@ -448,6 +448,28 @@ mod tests {
         assert_eq!(take_claim(&mut sequence, anew, start), Verdict::Take, "its bridge was started anew");
     }
 
+    /// As a forged stream is left again, or numbers of the true one that it had not reached.
+    #[test]
+    fn what_was_taken_before_a_leap_is_not_taken_again_when_the_sender_goes_on_as_before() {
+        let start = Instant::now();
+        for forged in [Place { stream: 8, number: 0, oldest: 0 }, Place { stream: 7, number: 900, oldest: 900 }] {
+            let mut sequence = at_work(start);
+            let forged = Claim { session: 7, ..claim(forged) };
+            let told = [Duration::ZERO, LATER].map(|later| take_claim(&mut sequence, forged, start + later));
+            assert_eq!(told, [Verdict::Early, Verdict::Take], "{forged:?}");
+            // The sender keeps more than it will be asked for, and is believed when it has said so twice.
+            let mut taken = Vec::new();
+            for (number, later) in [(99, SILENCE), (99, SILENCE + LATER), (100, SILENCE + LATER)] {
+                let back = claim(Place { stream: 7, number, oldest: 95 });
+                if take_claim(&mut sequence, back, start + LATER + LATER + later) == Verdict::Take {
+                    taken.push(number);
+                }
+            }
+            assert_eq!((taken, sequence.expected()), (vec![100], (7, 101)), "{forged:?}");
+            assert_eq!(sequence.lost(), 0, "{forged:?}");
+        }
+    }
+
     #[test]
     fn an_end_that_was_heard_before_a_leap_is_heard_when_it_comes_again() {
         let (start, mut sequence) = (Instant::now(), Sequence::new(true, false));
