@@ -335,3 +335,36 @@ impl Arcs {
         a.overlap(b.pixels) > 0 && (a.mean.z - b.mean.z).abs() <= step + bulge
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::{arcs_of, wall};
+    use super::*;
+    use conicflow_geometry::{Sphere, Surface as _, section_of};
+    use conicflow_lab::rendered::sphere;
+
+    #[test]
+    fn a_ray_meets_a_surface_where_it_enters_it_and_one_that_passes_by_or_leaves_it_behind_meets_nothing() {
+        let ball = Sphere { center: Vector3::new(0.05, -0.1, 1.5), radius: 0.2 };
+        let arcs = arcs_of(&[sphere(ball.center, ball.radius), wall(2.5)]);
+        let mut met = [0; 2];
+        for arc in &arcs.arcs {
+            let section = section_of(&ball.coefficients(), &arc.plane);
+            let behind = Sphere { center: -ball.center, ..ball };
+            let behind = section_of(&behind.coefficients(), &arc.plane);
+            for x in (-20..=20).map(|i| 0.02 * f64::from(i)) {
+                // Along a ray of length 1, the way to the foot of the centre and half the chord.
+                let ray = arc.plane.to_camera([x, arc.plane.stretch()]);
+                let foot = ball.center.dot(&ray.normalize());
+                let half_square = ball.radius.powi(2) - (ball.center.norm_squared() - foot * foot);
+                let expected = (half_square > 0.0).then(|| (foot - half_square.sqrt()) / ray.norm());
+                let found = arc.hit(&section, x);
+                assert_eq!(found.is_some(), expected.is_some(), "{x}");
+                assert!(found.zip(expected).is_none_or(|(found, expected)| (found - expected).abs() < 1e-9), "{x}");
+                assert_eq!(arc.hit(&behind, x), None);
+                met[usize::from(found.is_some())] += 1;
+            }
+        }
+        assert!(met.iter().all(|count| *count > 100), "{met:?}");
+    }
+}

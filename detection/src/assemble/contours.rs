@@ -275,3 +275,55 @@ fn direction(region: &Region) -> usize {
 fn covariance(offset_px: f64, share: f64) -> Matrix4<f64> {
     Matrix4::from_diagonal(&Vector4::new(offset_px, share, offset_px, share).map(|sigma| sigma * sigma))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const CAMERA: Camera = Camera { width: 320, height: 240, fx: 262.5, fy: 262.5, cx: 159.5, cy: 119.5 };
+
+    /// What columns have shown of this camera: on the first side that contours lie half a pixel and 1 % of the radius outwards, on
+    /// the last half a pixel inwards and 2 % outwards.
+    fn learned() -> Contours {
+        let bias = Information::of(&Vector4::new(-0.5, -0.01, -0.5, 0.02), &covariance(1e-5, 1e-6)).unwrap();
+        let learned =
+            Learned { bias, objects: 3.0, points: [10.0, 4.0], radii_px: [200.0, 40.0], ..Learned::default() };
+        Contours { camera: CAMERA, learned: [Learned::default(), learned], ..Contours::default() }
+    }
+
+    #[test]
+    fn biases_are_told_outwards_on_both_sides_and_together_at_the_mean_radius() {
+        let told: Vec<_> = learned().errors().collect();
+        let [ContourErrors { scan: Scan::Column, objects: 3.0, sides, .. }] = &told[..] else { panic!("{told:?}") };
+        for (side, points, radius_px, offset, share) in [(0, 10.0, 20.0, 0.5, 0.01), (1, 4.0, 10.0, -0.5, 0.02)] {
+            let found = &sides[side];
+            assert_eq!((found.points, found.radius_px), (points, radius_px), "{side}");
+            for (found, expected) in [
+                (found.offset_px, [offset, 1e-5]),
+                (found.share, [share, 1e-6]),
+                (found.outside_px, [offset + share * radius_px, 1e-5_f64.hypot(1e-6 * radius_px)]),
+            ] {
+                assert!((found[0] - expected[0]).abs() < 1e-6, "{side}: {found:?} {expected:?}");
+                assert!((found[1] / expected[1] - 1.0).abs() < 1e-6, "{side}: {found:?} {expected:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_was_learned_counts_less_with_each_image_and_nothing_with_another_camera() {
+        let mut contours = learned();
+        let points = |contours: &Contours| contours.errors().map(|told| (told.objects, told.sides)).next();
+        let (_, before) = points(&contours).unwrap();
+        contours.next_image(&CAMERA, 4.0);
+        let (objects, sides) = points(&contours).unwrap();
+        assert!((objects - 0.8 * 3.0).abs() < 1e-12);
+        for (now, before) in sides.iter().zip(&before) {
+            assert!(
+                (now.points - 0.8 * before.points).abs() < 1e-12 && (now.radius_px - before.radius_px).abs() < 1e-9
+            );
+            assert!((now.offset_px[1] / before.offset_px[1] - 0.8_f64.sqrt().recip()).abs() < 1e-6, "{now:?}");
+        }
+        contours.next_image(&Camera { fx: 263.0, ..CAMERA }, 4.0);
+        assert_eq!(points(&contours), None);
+    }
+}
