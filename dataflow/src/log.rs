@@ -115,9 +115,22 @@ impl ThrottledWarning {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
+    use std::io::{Read, Seek};
+    use std::sync::Arc;
     use tracing::Level;
+
+    /// What is logged, down to this level, by what is done meanwhile in this thread.
+    pub(crate) fn logged(least: Level, act: impl FnOnce()) -> String {
+        let (mut log, mut text) = (tempfile::tempfile().unwrap(), String::new());
+        let writer = Arc::new(log.try_clone().unwrap());
+        let subscriber = tracing_subscriber::fmt().with_writer(writer).with_ansi(false).with_max_level(least).finish();
+        tracing::subscriber::with_default(subscriber, act);
+        log.rewind().unwrap();
+        log.read_to_string(&mut text).unwrap();
+        text
+    }
 
     #[test]
     fn a_filter_names_levels_and_targets_and_nothing_else() {

@@ -6,12 +6,12 @@ use super::folder::tests::folder_at;
 use super::options::RunOptions;
 use super::phase::Phase;
 use super::summary::tests::stage;
+use crate::log::tests;
 use crate::plan::{LAYOUT, Origin, Plan};
 use crate::status::{Life, Status, StatusFile};
 use conicflow_messages::Object;
-use std::io::{Read, Seek};
-use std::sync::Arc;
 use tempfile::TempDir;
+use tracing::Level;
 
 /// Run 7.
 pub struct TrialRun {
@@ -57,11 +57,5 @@ pub fn change_record(folder: &RunFolder, stage: &str, change: impl FnOnce(&mut S
 
 /// What is logged by what is done meanwhile in this thread.
 pub fn logged(act: impl FnOnce()) -> String {
-    let (mut log, mut text) = (tempfile::tempfile().unwrap(), String::new());
-    let writer = Arc::new(log.try_clone().unwrap());
-    let subscriber = tracing_subscriber::fmt().with_writer(writer).with_ansi(false).finish();
-    tracing::subscriber::with_default(subscriber, act);
-    log.rewind().unwrap();
-    log.read_to_string(&mut text).unwrap();
-    text
+    tests::logged(Level::INFO, act)
 }

@@ -4,8 +4,8 @@ use crate::item_type::ItemType;
 use crate::ports::{ConnectedReader, Delivery, PortError, Reader, Received, Topic, Transport, Writer};
 use crate::stage::Stop;
 use bytemuck::{cast_slice, cast_slice_mut};
-use conicflow_messages::Header;
-use std::collections::{BTreeMap, VecDeque};
+use conicflow_messages::{Header, Text};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -15,12 +15,20 @@ use std::time::Duration;
 pub struct InMemory {
     topics: Arc<Mutex<BTreeMap<String, Arc<Channel>>>>,
     stop: Stop,
+    keeps: bool,
 }
 
 impl InMemory {
     /// Topics whose waiting ends when `stop` is raised.
     pub fn new(stop: Stop) -> Self {
-        Self { topics: Arc::default(), stop }
+        Self { topics: Arc::default(), stop, keeps: false }
+    }
+
+    /// The same topics, whose writers keep for a reader that wants every message what it has not finished, and hand it to the next
+    /// one of that stage.
+    #[must_use]
+    pub fn keeping(self) -> Self {
+        Self { keeps: true, ..self }
     }
 
     fn channel(&self, name: &str) -> Arc<Channel> {
@@ -35,9 +43,27 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 #[derive(Default)]
 struct Channel {
     queues: Mutex<Vec<Queue>>,
+    kept: Mutex<Kept>,
     /// How many readers there have been.
     opened: AtomicU64,
     changed: Condvar,
+}
+
+/// What readers that want every message have done, by the names of reader and writer: it outlives them.
+#[derive(Default)]
+struct Kept {
+    /// The number of the first message that is not finished.
+    next: BTreeMap<(String, Text<32>), u64>,
+    /// Which message was begun last, and how often.
+    begun: BTreeMap<(String, Text<32>), (u64, u64)>,
+    /// How often anything was finished.
+    answers: u64,
+}
+
+impl Kept {
+    fn next(&self, reader: &str, writer: Text<32>) -> u64 {
+        self.next.get(&(reader.to_owned(), writer)).copied().unwrap_or_default()
+    }
 }
 
 struct Queue {
@@ -91,6 +117,8 @@ pub struct MemoryReader {
     item: ItemType,
     channel: Arc<Channel>,
     stage: String,
+    /// The writers of the topic, where they keep what this stage has not finished.
+    keepers: Option<Vec<Text<32>>>,
 }
 
 impl Drop for MemoryReader {
@@ -123,6 +151,30 @@ impl Reader for MemoryReader {
         }
         Ok(())
     }
+
+    fn acknowledge(&mut self, writer: Text<32>, next: u64) {
+        if self.keepers.is_some() {
+            let mut kept = lock(&self.channel.kept);
+            kept.next.insert((self.stage.clone(), writer), next);
+            kept.answers += 1;
+        }
+    }
+
+    fn acknowledged(&self) -> Option<Vec<(Text<32>, u64)>> {
+        let kept = lock(&self.channel.kept);
+        Some(self.keepers.as_ref()?.iter().map(|writer| (*writer, kept.next(&self.stage, *writer))).collect())
+    }
+
+    fn begin(&mut self, writer: Text<32>, number: u64) -> u64 {
+        if self.keepers.is_none() {
+            return 1;
+        }
+        let mut kept = lock(&self.channel.kept);
+        let (begun, times) = kept.begun.entry((self.stage.clone(), writer)).or_default();
+        *times = if *begun == number { *times + 1 } else { 1 };
+        *begun = number;
+        *times
+    }
 }
 
 /// Writes a topic of [`InMemory`].
@@ -131,6 +183,12 @@ pub struct MemoryWriter {
     channel: Arc<Channel>,
     loan: Aligned,
     stop: Stop,
+    topic: Topic,
+    /// As many of the messages that were sent last as are kept, and the readers that have them.
+    sent: VecDeque<Arc<MemoryMessage>>,
+    kept: usize,
+    joined: BTreeSet<u64>,
+    answers: u64,
 }
 
 impl Writer for MemoryWriter {
@@ -145,6 +203,7 @@ impl Writer for MemoryWriter {
 
     fn send(&mut self, header: &Header) -> Result<usize, PortError> {
         let message = Arc::new(MemoryMessage { header: *header, items: std::mem::take(&mut self.loan) });
+        self.catch_up();
         let mut queues = lock(&self.channel.queues);
         let full = |queue: &Queue| queue.delivery == Delivery::Lossless && queue.messages.len() >= queue.capacity;
         while queues.iter().any(full) {
@@ -161,12 +220,43 @@ impl Writer for MemoryWriter {
             queue.messages.push_back(Arc::clone(&message));
         }
         self.channel.changed.notify_all();
-        Ok(message.items.length / self.item.size())
+        let length = message.items.length / self.item.size();
+        self.sent.push_back(message);
+        while self.sent.len() > self.kept {
+            self.sent.pop_front();
+        }
+        Ok(length)
     }
 
     fn connected(&self) -> Vec<ConnectedReader> {
         let reader = |queue: &Queue| ConnectedReader { port: queue.port.into(), stage: queue.stage.clone() };
         lock(&self.channel.queues).iter().map(reader).collect()
+    }
+
+    fn unfinished(&self, reader: &str) -> usize {
+        if self.topic.delivery_to(reader) == Delivery::Latest {
+            return 0;
+        }
+        let (kept, messages) = (lock(&self.channel.kept), self.sent.iter().filter(|sent| !sent.header.ends_stream()));
+        let writer = |header: &Header| header.trace().last().map(|hop| hop.stage).unwrap_or_default();
+        let is_unfinished = |sent: &&Arc<MemoryMessage>| sent.header.number >= kept.next(reader, writer(&sent.header));
+        messages.skip_while(|sent| !is_unfinished(sent)).count()
+    }
+
+    fn catch_up(&mut self) {
+        let mut queues = lock(&self.channel.queues);
+        for queue in queues.iter_mut().filter(|queue| queue.delivery == Delivery::Lossless) {
+            if self.joined.insert(queue.port) {
+                queue.messages.extend(self.sent.iter().cloned());
+            }
+        }
+    }
+
+    fn wait(&mut self, timeout: Duration) -> bool {
+        std::thread::sleep(timeout);
+        self.catch_up();
+        let answers = lock(&self.channel.kept).answers;
+        std::mem::replace(&mut self.answers, answers) != answers
     }
 }
 
@@ -178,17 +268,31 @@ impl Transport for InMemory {
         topic.expect(item)?;
         let channel = self.channel(&topic.name);
         let reader = topic.readers.iter().find(|reader| reader.stage == stage);
-        let (delivery, capacity) = reader.map_or((Delivery::Latest, 2), |reader| (reader.delivery, reader.queue));
+        let (delivery, queue) = reader.map_or((Delivery::Latest, 2), |reader| (reader.delivery, reader.queue));
+        // What is kept is handed to who comes anew all at once.
+        let capacity = if self.keeps && delivery == Delivery::Lossless { queue + topic.kept() + 1 } else { queue };
         let port = channel.opened.fetch_add(1, Ordering::Relaxed);
         let queue = Queue { port, stage: stage.to_owned(), delivery, capacity, messages: VecDeque::new() };
         lock(&channel.queues).push(queue);
-        Ok(MemoryReader { item: item.clone(), channel, stage: stage.to_owned() })
+        let writers = topic.writers.iter().map(|writer| Text::new(writer)).collect();
+        let keepers = Some(writers).filter(|_| self.keeps && delivery == Delivery::Lossless);
+        Ok(MemoryReader { item: item.clone(), channel, stage: stage.to_owned(), keepers })
     }
 
     fn writer_of(&self, item: &ItemType, topic: &Topic) -> Result<MemoryWriter, PortError> {
         topic.expect(item)?;
         let channel = self.channel(&topic.name);
-        Ok(MemoryWriter { item: item.clone(), channel, loan: Aligned::default(), stop: self.stop.clone() })
+        Ok(MemoryWriter {
+            item: item.clone(),
+            channel,
+            loan: Aligned::default(),
+            stop: self.stop.clone(),
+            topic: topic.clone(),
+            sent: VecDeque::new(),
+            kept: if self.keeps { topic.kept() } else { 0 },
+            joined: BTreeSet::new(),
+            answers: 0,
+        })
     }
 }
 

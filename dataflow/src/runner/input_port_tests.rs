@@ -58,17 +58,20 @@ fn frames_come_once_and_in_order_and_gaps_are_counted() {
 
 #[test]
 fn what_was_lost_before_the_first_message_is_counted_where_the_writer_is_of_this_run() {
-    for (is_of_this_run, lost) in [(true, 2), (false, 0)] {
+    let (lossless, latest) = (Delivery::Lossless, Delivery::Latest);
+    for (delivery, is_of_this_run, lost) in [(lossless, true, 2), (lossless, false, 0), (latest, true, 0)] {
         let memory = InMemory::default();
-        let topic = topic(Delivery::Lossless);
+        let topic = topic(delivery);
         let reader = memory.reader::<Object>(&topic, "reader").unwrap();
         let mut writer = memory.writer::<Object>(&topic).unwrap();
-        let mut input_port = InputPort::new(reader, Delivery::Lossless, "objects", 1);
+        let mut input_port = InputPort::new(reader, delivery, "objects", 1);
         if is_of_this_run {
             input_port.expect_from_first();
         }
-        [2, 3].map(header).iter().for_each(|header| _ = writer.send(header).unwrap());
-        while input_port.take().unwrap().is_some() {}
+        for header in [2, 3].map(header) {
+            writer.send(&header).unwrap();
+            assert!(input_port.take().unwrap().is_some());
+        }
         let counts = input_port.counts();
         assert_eq!((counts.received, counts.dropped, counts.gaps), (2, lost, lost));
     }
@@ -121,6 +124,54 @@ fn a_successor_hears_a_rare_writer_beside_one_that_sends_a_lot() {
 }
 
 #[test]
+fn where_several_write_nobody_knows_what_an_earlier_process_had_of_each() {
+    let (_, earlier, _) = pass(Delivery::Lossless, &[0, 1].map(header));
+    let memory = InMemory::default();
+    let topic = topic(Delivery::Lossless);
+    let reader = memory.reader::<Object>(&topic, "reader").unwrap();
+    let mut writer = memory.writer::<Object>(&topic).unwrap();
+    let mut input_port = InputPort::new(reader, Delivery::Lossless, "objects", 2);
+    input_port.resume(earlier);
+    writer.send(&end_of_stream(&header(0), Text::new("writer"), 4)).unwrap();
+    writer.send(&end_of_stream(&header(0), Text::new("other"), 4)).unwrap();
+    assert!(input_port.take().unwrap().is_none() && input_port.ended());
+    assert_eq!(input_port.counts().dropped, 0);
+}
+
+#[test]
+fn frames_between_what_an_earlier_process_took_and_what_its_successor_heard_are_gaps() {
+    let (_, earlier, _) = pass(Delivery::Lossless, &[0, 1].map(header));
+    let memory = InMemory::default();
+    let topic = topic(Delivery::Lossless);
+    let reader = memory.reader::<Object>(&topic, "reader").unwrap();
+    let mut writer = memory.writer::<Object>(&topic).unwrap();
+    let mut input_port = InputPort::new(reader, Delivery::Lossless, "objects", 1);
+    (4..6).for_each(|sequence| _ = writer.send(&header(sequence)).unwrap());
+    input_port.buffer_ahead().unwrap();
+    input_port.resume(earlier);
+    input_port.admit_buffered();
+    while input_port.take().unwrap().is_some() {}
+    let counts = input_port.counts();
+    assert_eq!((counts.received, counts.dropped, counts.gaps), (4, 2, 2));
+}
+
+#[test]
+fn how_many_messages_a_writer_has_sent_is_known_by_the_last_that_came_and_by_the_end() {
+    let memory = InMemory::default();
+    let topic = topic(Delivery::Lossless);
+    let reader = memory.reader::<Object>(&topic, "reader").unwrap();
+    let mut writer = memory.writer::<Object>(&topic).unwrap();
+    let mut input_port = InputPort::new(reader, Delivery::Lossless, "objects", 1);
+    let mut count_after = |header| {
+        writer.send(&header).unwrap();
+        input_port.take().unwrap();
+        ["writer", "other"].map(|writer| input_port.count_of(writer))
+    };
+    assert_eq!(count_after(header(2)), [3, 0]);
+    assert_eq!(count_after(end_of_stream(&header(2), Text::new("writer"), 6)), [6, 0]);
+}
+
+#[test]
 fn what_predecessor_and_successor_both_heard_is_counted_once() {
     let (_, earlier, _) = pass(Delivery::Lossless, &[0, 1, 2].map(header));
     let memory = InMemory::default();
@@ -141,9 +192,9 @@ fn what_predecessor_and_successor_both_heard_is_counted_once() {
 
 #[test]
 fn the_newest_of_each_source_is_kept() {
-    let mut other = Header { hops: Header::default().hops, hop_count: 0, ..header(7) };
-    other.add_hop(Hop { stage: Text::new("other"), ..Hop::default() });
-    assert_eq!(pass(Delivery::Latest, &[header(0), other, header(1)]).0, [7, 1]);
+    let other = written_by("other", 7);
+    let (taken, counts, _) = pass(Delivery::Latest, &[header(0), other, header(1)]);
+    assert_eq!((taken, counts.received, counts.dropped), (vec![7, 1], 2, 1));
 }
 
 #[test]
@@ -175,6 +226,7 @@ fn what_is_missing_at_the_end_is_counted_once() {
         let (_, counts, ended) = pass(Delivery::Lossless, sent);
         assert_eq!((counts.dropped, counts.gaps, ended), (lost, lost, true));
     }
+    assert_eq!(pass(Delivery::Lossless, &[end_of_stream(&header(0), Text::new("writer"), 0)]).1.dropped, 0);
     let complete = end_of_stream(&header(1), Text::new("writer"), 2);
     assert_eq!(pass(Delivery::Lossless, &[header(0), header(1), complete]).1.dropped, 0);
     assert_eq!(pass(Delivery::Latest, &[end]).1.dropped, 0, "who came late to a live stream has lost nothing");

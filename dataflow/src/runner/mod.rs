@@ -3,6 +3,8 @@
 //! The two loops are [`source_loop`] and [`stage_loop`]; here is what they run with, and how what goes wrong is told.
 
 pub(crate) mod alone;
+#[cfg(test)]
+mod finishing_tests;
 pub(crate) mod handover;
 pub(crate) mod input_port;
 #[cfg(test)]
@@ -10,6 +12,8 @@ mod input_port_tests;
 #[cfg(test)]
 mod model;
 pub(crate) mod output_port;
+#[cfg(test)]
+mod output_port_tests;
 mod pace;
 pub(crate) mod peers;
 pub(crate) mod pulled_source;
