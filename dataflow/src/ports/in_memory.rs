@@ -116,6 +116,7 @@ impl Received for Arc<MemoryMessage> {
 pub struct MemoryReader {
     item: ItemType,
     channel: Arc<Channel>,
+    port: u64,
     stage: String,
     /// The writers of the topic, where they keep what this stage has not finished.
     keepers: Option<Vec<Text<32>>>,
@@ -123,7 +124,7 @@ pub struct MemoryReader {
 
 impl Drop for MemoryReader {
     fn drop(&mut self) {
-        lock(&self.channel.queues).retain(|queue| queue.stage != self.stage);
+        lock(&self.channel.queues).retain(|queue| queue.port != self.port);
         self.channel.changed.notify_all();
     }
 }
@@ -137,7 +138,7 @@ impl Reader for MemoryReader {
 
     fn receive(&mut self) -> Result<Option<Self::Message>, PortError> {
         let mut queues = lock(&self.channel.queues);
-        let queue = queues.iter_mut().find(|queue| queue.stage == self.stage);
+        let queue = queues.iter_mut().find(|queue| queue.port == self.port);
         let message = queue.and_then(|queue| queue.messages.pop_front());
         self.channel.changed.notify_all();
         Ok(message)
@@ -145,7 +146,7 @@ impl Reader for MemoryReader {
 
     fn wait(&mut self, timeout: Duration) -> Result<(), PortError> {
         let queues = lock(&self.channel.queues);
-        let empty = |queue: &Queue| queue.stage == self.stage && queue.messages.is_empty();
+        let empty = |queue: &Queue| queue.port == self.port && queue.messages.is_empty();
         if queues.iter().any(empty) {
             drop(self.channel.changed.wait_timeout(queues, timeout));
         }
@@ -276,7 +277,7 @@ impl Transport for InMemory {
         lock(&channel.queues).push(queue);
         let writers = topic.writers.iter().map(|writer| Text::new(writer)).collect();
         let keepers = Some(writers).filter(|_| self.keeps && delivery == Delivery::Lossless);
-        Ok(MemoryReader { item: item.clone(), channel, stage: stage.to_owned(), keepers })
+        Ok(MemoryReader { item: item.clone(), channel, port, stage: stage.to_owned(), keepers })
     }
 
     fn writer_of(&self, item: &ItemType, topic: &Topic) -> Result<MemoryWriter, PortError> {

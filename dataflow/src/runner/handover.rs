@@ -129,16 +129,87 @@ fn is_timeout(error: &io::Error) -> bool {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
+    use std::cell::Cell;
+
+    /// A successor, and the end of its launcher.
+    pub(in super::super) fn successor(folder: &Path, stage: &str) -> (Successor, UnixStream) {
+        let (launcher, end) = UnixStream::pair().unwrap();
+        end.set_read_timeout(Some(LOOK)).unwrap();
+        (Successor { handover: Handover::of(folder, stage), launcher: end }, launcher)
+    }
+
+    fn mark(number: u64) -> Watermark {
+        Watermark { numbers: [(Text::new("camera"), number)].into(), ..Watermark::default() }
+    }
 
     #[test]
     fn a_successor_that_is_wanted_no_more_ends_without_a_word() {
         let folder = tempfile::tempdir().unwrap();
-        let (launcher, end) = UnixStream::pair().unwrap();
-        let mut successor = Successor { handover: Handover::of(folder.path(), "a"), launcher: end };
+        let (mut successor, launcher) = successor(folder.path(), "a");
         drop(launcher);
         successor.is_ready(&Watermark::default()).unwrap();
+        assert!(successor.is_dismissed());
         assert!(!successor.await_turn(|| false));
+    }
+
+    #[test]
+    fn what_the_two_processes_of_a_stage_tell_each_other_is_of_this_swap_and_of_this_stage() {
+        let folder = tempfile::tempdir().unwrap();
+        let (mut successor, mut launcher) = successor(folder.path(), "a");
+        let [of_stage, of_other] = ["a", "b"].map(|stage| Handover::of(folder.path(), stage));
+        assert_eq!((of_stage.first(), of_stage.last()), (Watermark::default(), None), "nothing is told");
+        successor.is_ready(&mark(4)).unwrap();
+        let mut told = [0; 2];
+        assert_eq!(launcher.read(&mut told).unwrap(), 1, "the launcher hears of it");
+        of_stage.leave(&mark(3)).unwrap();
+        assert_eq!((of_stage.first(), of_stage.last()), (mark(4), Some(mark(3))));
+        assert_eq!((of_other.first(), of_other.last()), (Watermark::default(), None));
+        of_stage.clear();
+        assert_eq!((of_stage.first(), of_stage.last()), (Watermark::default(), None));
+    }
+
+    #[test]
+    fn a_successor_waits_until_its_turn_has_come_or_it_is_stopped() {
+        let folder = tempfile::tempdir().unwrap();
+        let (mut successor, launcher) = successor(folder.path(), "a");
+        assert!(!successor.is_dismissed());
+        let looks = Cell::new(0);
+        let look = |last: u32| looks.replace(looks.get() + 1) == last;
+        assert!(!successor.await_turn(|| look(3)), "it is stopped");
+        looks.set(0);
+        // Its turn comes when it has looked around several times.
+        let turn = successor.await_turn(|| {
+            if look(3) {
+                (&launcher).write_all(b"t").unwrap();
+            }
+            looks.get() > 100
+        });
+        assert!(turn);
+    }
+
+    #[test]
+    fn a_successor_whose_launcher_cannot_be_told_says_so() {
+        let folder = tempfile::tempdir().unwrap();
+        let (mut successor, _launcher) = successor(folder.path(), "a");
+        successor.launcher.set_nonblocking(true).unwrap();
+        while successor.launcher.write(&[0; 4096]).is_ok() {}
+        assert_eq!(successor.is_ready(&mark(0)).unwrap_err().kind(), ErrorKind::WouldBlock, "it does not listen");
+        let (mut successor, _launcher) = self::successor(&folder.path().join("nowhere"), "a");
+        assert_eq!(successor.is_ready(&mark(0)).unwrap_err().kind(), ErrorKind::NotFound);
+    }
+
+    #[test]
+    fn a_successor_whose_launcher_cannot_be_heard_has_no_turn() {
+        let folder = tempfile::tempdir().unwrap();
+        let (mut successor, _launcher) = successor(folder.path(), "a");
+        // What is no socket's end to a launcher cannot be read from.
+        let (unread, _other) = io::pipe().map(|(reader, writer)| (writer, reader)).unwrap();
+        successor.launcher = UnixStream::from(std::os::fd::OwnedFd::from(unread));
+        let looks = Cell::new(0);
+        assert!(!successor.await_turn(|| looks.replace(looks.get() + 1) == 100));
+        assert_eq!(looks.get(), 1, "there is nothing to wait for");
+        assert!(successor.is_dismissed());
     }
 }

@@ -84,6 +84,11 @@ fn what_a_killed_source_sent_just_before_is_not_taken_again_from_the_next_one() 
     assert_eq!((taken, counts.late, counts.gaps), (vec![0, 1, 2], 1, 0));
     let (taken, counts, _) = pass(Delivery::Lossless, &[header(0), header(1), header(2), anew(0), anew(1)]);
     assert_eq!((taken, counts.late), (vec![0, 1, 2, 0, 1], 0), "another run from its first frame on");
+    // Another frame under the same number, and another number of a frame that is called like the last one.
+    for other in [Header { number: 1, ..anew(5) }, Header { number: 2, ..anew(1) }] {
+        let (taken, counts, _) = pass(Delivery::Lossless, &[header(0), header(1), other]);
+        assert_eq!((taken, counts.late), (vec![0, 1, other.sequence], 0));
+    }
 }
 
 #[test]

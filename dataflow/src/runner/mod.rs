@@ -16,8 +16,12 @@ pub(crate) mod output_port;
 mod output_port_tests;
 mod pace;
 pub(crate) mod peers;
+#[cfg(test)]
+mod place_tests;
 pub(crate) mod pulled_source;
 pub(crate) mod pulled_stage;
+#[cfg(test)]
+mod pulled_tests;
 pub(crate) mod side_ports;
 pub(crate) mod source_loop;
 pub(crate) mod stage_loop;

@@ -61,6 +61,15 @@ impl Trial {
     }
 }
 
+/// Ends at once what a test has begun, also where that fails.
+struct AtOnce(Stop);
+
+impl Drop for AtOnce {
+    fn drop(&mut self) {
+        self.0.force();
+    }
+}
+
 fn header() -> Header {
     let camera = Camera { width: 2, height: 2, fx: 1.0, fy: 1.0, cx: 0.5, cy: 0.5 };
     Header { camera, depth_scale: 0.001, ..Header::default() }
@@ -127,8 +136,9 @@ fn a_reader_that_has_ended_is_not_waited_for() {
 #[test]
 fn what_was_to_be_sent_is_sent_when_the_reader_comes_that_was_waited_for() {
     let mut trial = Trial::new(&[("sink", Delivery::Lossless)], 0);
-    let (memory, topic) = (trial.memory.clone(), trial.topic.clone());
+    let (memory, topic, stop) = (trial.memory.clone(), trial.topic.clone(), trial.stop.clone());
     thread::scope(|scope| {
+        let _end = AtOnce(stop.clone());
         let sending = scope.spawn(|| trial.send());
         thread::sleep(Duration::from_millis(50));
         assert!(!sending.is_finished());
@@ -197,6 +207,7 @@ fn a_stage_that_waits_for_a_reader_to_come_or_to_finish_something_tells_so() {
     (0..=QUEUE).for_each(|_| trial.send().unwrap());
     assert_eq!(waits_for(&record), "");
     thread::scope(|scope| {
+        let _end = AtOnce(stop.clone());
         let sending = scope.spawn(|| trial.send());
         let is_told = until(|| waits_for(&record) == "sink");
         stop.force();
@@ -266,7 +277,9 @@ fn the_end_is_told_when_all_that_was_sent_is_finished() {
     let mut reader = trial.reader("sink");
     (0..2).for_each(|_| trial.send().unwrap());
     assert_eq!(waiting(&mut reader), [0, 1]);
+    let stop = trial.stop.clone();
     thread::scope(|scope| {
+        let _end = AtOnce(stop.clone());
         let ending = scope.spawn(|| trial.output_port.end());
         thread::sleep(Duration::from_millis(200));
         assert_eq!(ends(&mut reader), [], "what is kept for a reader goes with this process");
@@ -302,8 +315,9 @@ fn stages_of_another_machine_end_after_as_many_messages_as_each_is_known_to_have
         trial.output_port.relay(&header, &[]).unwrap();
     }
     trial.output_port.note_count(Text::new("other"), 9);
-    let names = ["left", "right", "other", "silent"];
+    let (names, stop) = (["left", "right", "other", "silent"], trial.stop.clone());
     thread::scope(|scope| {
+        let _end = AtOnce(stop.clone());
         let ending = scope.spawn(|| trial.output_port.end_as(&names.map(Text::new)));
         let mut told = Vec::new();
         assert!(until(|| {
@@ -373,6 +387,7 @@ fn who_ends_waits_for_a_while_for_a_reader_that_never_came() {
     let mut trial = Trial::new(&[("sink", Delivery::Latest)], 3);
     let stop = trial.stop.clone();
     thread::scope(|scope| {
+        let _end = AtOnce(stop.clone());
         let ending = scope.spawn(|| trial.output_port.end());
         thread::sleep(Duration::from_millis(100));
         assert!(!ending.is_finished());

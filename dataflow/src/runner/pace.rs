@@ -133,6 +133,23 @@ mod tests {
         [u64::MAX, 0, u64::MAX].into_iter().for_each(|stamp_ns| pace.wait_to_send(Some(stamp_ns), &mut record, || ()));
     }
 
+    #[test]
+    fn messages_are_due_one_period_after_the_other_and_who_fell_far_behind_begins_anew() {
+        let (stop, mut record) = (Stop::default(), StatusFile::nowhere());
+        // Whoever is to end does not wait.
+        stop.request();
+        let mut pace = Pace::new(rhythm(4.0), stop, Pause::default());
+        let mut due = |pace: &mut Pace| {
+            pace.wait_to_make(&mut record, || ());
+            pace.due.unwrap()
+        };
+        let [first, second, third] = [(); 3].map(|()| due(&mut pace));
+        assert_eq!([second - first, third - second], [Duration::from_millis(250); 2]);
+        let now = Instant::now();
+        pace.due = now.checked_sub(Duration::from_secs(10));
+        assert!(due(&mut pace) >= now, "what was missed is not made up for");
+    }
+
     /// Many steps of a slow source, after which it is due as if there had been one.
     #[test]
     fn steps_are_made_at_once_and_a_step_does_not_put_off_what_follows() {

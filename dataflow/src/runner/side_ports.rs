@@ -186,9 +186,11 @@ fn reaches(a: &Header, b: &Header) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ports::in_memory::InMemory;
+    use crate::ports::in_memory::{InMemory, MemoryReader, MemoryWriter};
     use crate::ports::{TopicReader, Writer};
+    use crate::runner::output_port::end_of_stream;
     use conicflow_messages::{Camera, Hop, Object, Text};
+    use std::thread;
 
     fn frame(camera: &str, sequence: u64) -> Header {
         let epoch = if camera == "left" { 1 } else { 2 };
@@ -219,5 +221,127 @@ mod tests {
             assert_eq!(found.item.name(), "objects");
             assert_eq!((found.header.epoch, found.header.sequence), (step.epoch, step.sequence));
         }
+    }
+
+    /// A side input of the stage `sink`, and the writer that keeps what it has not finished.
+    fn joined(pairing: Pairing, delivery: Delivery) -> (SidePort<MemoryReader>, MemoryWriter) {
+        let readers = ["viewer", "sink"].map(|stage| {
+            let delivery = if stage == "sink" { delivery } else { Delivery::Latest };
+            TopicReader { stage: stage.to_owned(), delivery, queue: 40 }
+        });
+        let (item, writers) = (Some(ItemType::of::<Object>()), vec!["left".into()]);
+        let topic = Topic { name: "objects".into(), item, writers, readers: readers.into() };
+        let memory = InMemory::default().keeping();
+        let side = open(&memory, ("objects", pairing), &ItemType::of::<Object>(), &topic, "sink").unwrap();
+        (side, memory.writer::<Object>(&topic).unwrap())
+    }
+
+    fn send(writer: &mut MemoryWriter, sequences: std::ops::Range<u64>) {
+        sequences.for_each(|sequence| _ = writer.send(&frame("left", sequence)).unwrap());
+    }
+
+    /// The frame that a step of this frame finds.
+    fn found(side: &mut SidePort<MemoryReader>, sequence: u64) -> Option<u64> {
+        side.find(Some(&frame("left", sequence))).unwrap();
+        side.message().map(|message| message.header.sequence)
+    }
+
+    #[test]
+    fn a_step_finds_its_frame_however_many_have_come_behind_it() {
+        let (mut side, mut writer) = joined(Pairing::SameFrame, Delivery::Lossless);
+        send(&mut writer, 0..2 * MAX_KEPT as u64);
+        for sequence in 0..2 * MAX_KEPT as u64 {
+            assert_eq!(found(&mut side, sequence), Some(sequence));
+        }
+    }
+
+    #[test]
+    fn an_input_that_is_paired_with_no_frame_gives_the_newest_message_to_all_steps() {
+        let (mut side, mut writer) = joined(Pairing::Latest, Delivery::Lossless);
+        assert_eq!(found(&mut side, 0), None);
+        send(&mut writer, 0..3);
+        assert_eq!([found(&mut side, 0), found(&mut side, 9)], [Some(2), Some(2)]);
+        side.acknowledge();
+        assert_eq!(writer.unfinished("sink"), 0);
+    }
+
+    #[test]
+    fn a_step_waits_for_a_message_of_its_frame_that_is_on_its_way_where_none_may_be_lost() {
+        let (mut side, mut writer) = joined(Pairing::SameFrame, Delivery::Lossless);
+        thread::scope(|scope| {
+            scope.spawn(|| {
+                thread::sleep(Duration::from_millis(50));
+                send(&mut writer, 0..2);
+            });
+            assert_eq!(found(&mut side, 1), Some(1));
+        });
+    }
+
+    #[test]
+    fn a_step_does_not_wait_for_ever_for_a_message_that_does_not_come() {
+        let (mut side, mut writer) = joined(Pairing::SameFrame, Delivery::Lossless);
+        thread::scope(|scope| {
+            let finding = scope.spawn(|| found(&mut side, 1));
+            let deadline = Instant::now() + Duration::from_secs(10);
+            while !finding.is_finished() && Instant::now() < deadline {
+                thread::sleep(Duration::from_millis(1));
+            }
+            let has_found = finding.is_finished();
+            writer.send(&end_of_stream(&frame("left", 0), Text::new("left"), 0)).unwrap();
+            assert_eq!((finding.join().unwrap(), has_found), (None, true));
+        });
+    }
+
+    #[test]
+    fn what_waits_for_a_later_step_is_not_finished() {
+        let (mut side, mut writer) = joined(Pairing::SameFrame, Delivery::Lossless);
+        send(&mut writer, 0..4);
+        side.let_go().unwrap();
+        assert_eq!(writer.unfinished("sink"), 0, "nothing is asked for again that was let go of");
+        send(&mut writer, 4..6);
+        assert_eq!([found(&mut side, 2), found(&mut side, 4)], [Some(2), Some(4)], "and still there");
+        side.acknowledge();
+        assert_eq!(writer.unfinished("sink"), 1);
+        let (mut side, mut writer) = joined(Pairing::SameFrame, Delivery::Lossless);
+        send(&mut writer, 0..4);
+        assert_eq!(found(&mut side, 3), Some(3));
+        assert_eq!(writer.unfinished("sink"), 4, "it is not said yet");
+        side.acknowledge();
+        assert_eq!(writer.unfinished("sink"), 0);
+    }
+
+    #[test]
+    fn what_is_let_go_of_is_taken_as_far_as_there_is_room() {
+        let (mut side, mut writer) = joined(Pairing::SameFrame, Delivery::Lossless);
+        send(&mut writer, 0..MAX_KEPT as u64 + 3);
+        side.let_go().unwrap();
+        assert_eq!(writer.unfinished("sink"), 3);
+        let (mut side, mut writer) = joined(Pairing::Latest, Delivery::Lossless);
+        send(&mut writer, 0..MAX_KEPT as u64 + 3);
+        side.let_go().unwrap();
+        assert_eq!(writer.unfinished("sink"), 0, "the newest alone is kept");
+        assert_eq!(side.message().map(|message| message.header.sequence), Some(MAX_KEPT as u64 + 2));
+    }
+
+    #[test]
+    fn a_step_is_covered_from_the_first_frame_on_that_is_buffered() {
+        let (mut side, mut writer) = joined(Pairing::SameFrame, Delivery::Lossless);
+        let covered = |side: &SidePort<MemoryReader>| [3, 4, 5].map(|sequence| side.covers(&frame("left", sequence)));
+        assert_eq!(covered(&side), [false; 3]);
+        send(&mut writer, 4..5);
+        side.buffer_ahead().unwrap();
+        assert_eq!(covered(&side), [false, true, true]);
+        assert!(!side.covers(&frame("right", 5)), "of another camera nothing is there");
+        let (side, _writer) = joined(Pairing::Latest, Delivery::Lossless);
+        assert_eq!(covered(&side), [true; 3], "whatever is the newest");
+    }
+
+    #[test]
+    fn who_is_started_anew_goes_on_counting_with_what_was_buffered() {
+        let (mut side, mut writer) = joined(Pairing::SameFrame, Delivery::Lossless);
+        send(&mut writer, 0..2);
+        side.resume(InputCounts { topic: Text::new("objects"), received: 7, ..InputCounts::default() }).unwrap();
+        assert_eq!(found(&mut side, 1), Some(1));
+        assert_eq!(side.counts().received, 9);
     }
 }
