@@ -116,7 +116,11 @@ fn a_stage_sends_one_message_for_each_that_it_takes_and_an_empty_list_where_it_s
         let ending = scope.spawn(|| source.end().unwrap());
         assert_eq!(pull(&mut stage), None);
         assert_eq!(came(&mut viewer), [(2, 0)]);
-        drop(viewer);
+        scope.spawn(move || {
+            while viewer.receive().unwrap().is_none_or(|message| !message.header().ends_stream()) {
+                viewer.wait(Duration::from_millis(10)).unwrap();
+            }
+        });
         stage.end().unwrap();
         ending.join().unwrap();
     });
