@@ -155,7 +155,7 @@ impl Arc {
         if discriminant <= 0.0 || a.abs() < 1e-12 {
             return None;
         }
-        let near = (-b - discriminant.sqrt() * a.signum()) / (2.0 * a);
+        let near = (-b - discriminant.sqrt().copysign(a)) / (2.0 * a);
         (near > 0.0).then_some(near)
     }
 
@@ -338,10 +338,155 @@ impl Arcs {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{arcs_of, wall};
+    use super::super::tests::{arcs_from, arcs_of, ellipses_of_a_can, rows_of, straight, wall};
     use super::*;
-    use conicflow_geometry::{Sphere, Surface as _, section_of};
-    use conicflow_lab::rendered::sphere;
+    use conicflow_geometry::{Conical, FixedSlope, Sphere, Surface as _, section_of};
+    use conicflow_lab::rendered::{KINECT_HALF, sphere};
+    use conicflow_messages::NoiseModel;
+    use std::f64::consts::PI;
+
+    /// A can that leans to all sides, a metre away.
+    fn leaning() -> Conical {
+        let axis = Vector3::new(0.5, 0.6, 0.4).normalize();
+        Conical { point: Vector3::new(0.02, -0.05, 1.0), axis, radius: 0.1, slope: 0.0 }
+    }
+
+    /// How far a point is off it, as F tells.
+    fn off(can: &Conical, point: &Vector3) -> f64 {
+        let across = point - can.anchored(point).point;
+        (across.norm_squared() - can.radius.powi(2)) / (2.0 * can.radius)
+    }
+
+    #[test]
+    fn lines_are_counted_as_they_were_looked_at() {
+        let of = |line_step: u32| {
+            let told = |line: u32| Ellipse { line_step, shared_lines: 8.0, ..straight(line, 150, 1.0) };
+            let arcs = arcs_from(&[told(100), told(104)]);
+            let [first, next] = &arcs.arcs[..] else { panic!("{arcs:?}") };
+            (next.line - first.line, first.spacing / first.pitch, first.shared_lines, arcs.beside(0, 1, 1, |_| true))
+        };
+        assert_eq!(of(1), (4, 1.0, 8.0, None));
+        assert_eq!(of(4), (1, 4.0, 2.0, Some(1)), "there is none between them");
+    }
+
+    #[test]
+    fn the_noise_of_an_arc_is_that_along_its_rays_as_it_was_measured_or_else_the_sensors() {
+        let sigma = 0.004;
+        for line in [0, 119, 239] {
+            let measured = Ellipse { sigma, unbiased: 1, ..straight(line, 150, 1.0) };
+            let arcs = arcs_from(&[measured, straight(line, 180, 1.0)]);
+            let along = 1.0 + ((f64::from(line) - KINECT_HALF.cy) / KINECT_HALF.fy).powi(2);
+            let expected = [sigma * sigma, NoiseModel::KINECT_V1.variance(arcs.arcs[1].mean.z)];
+            for (arc, variance) in arcs.arcs.iter().zip(expected) {
+                assert!((arc.variance / (variance * along) - 1.0).abs() < 1e-9, "{line}: {}", arc.variance);
+            }
+        }
+    }
+
+    #[test]
+    fn an_end_is_unseen_where_no_depth_is_beyond_it_and_has_a_contour_where_one_is_told() {
+        for side in [0, 1] {
+            let mut ellipse = straight(120, 150, 1.0);
+            (ellipse.beyond[side], ellipse.contour[side]) = (2.0, 170.5);
+            let arc = &arcs_from(&[ellipse]).arcs[0];
+            assert_eq!((arc.unseen[side], arc.unseen[1 - side], arc.contour[1 - side]), (false, true, None));
+            let point = arc.contour[side].unwrap();
+            assert!((point.ray.x / point.ray.z - 11.0 / KINECT_HALF.fx).abs() < 1e-12 && point.side == side);
+        }
+    }
+
+    #[test]
+    fn the_misfit_of_an_arc_is_that_of_its_points() {
+        let can = leaning();
+        for line in [0, 200] {
+            let plane = pinhole(&KINECT_HALF).plane(Scan::Row, f64::from(line));
+            let away = |i: u32| 0.9 + 0.01 * (f64::from(i) * 1.7).sin();
+            let points: Vec<_> = (0..20).map(|i| [f64::from(i) / 290.0 * away(i), plane.stretch() * away(i)]).collect();
+            let moments = PlaneMoments::of([0.05, 0.9], points.iter().copied());
+            let ellipse = Ellipse { origin: moments.origin(), moments: *moments.sums(), ..straight(line, 160, 0.0) };
+            let found = arcs_from(&[ellipse]).arcs[0].misfit(&FixedSlope(can).coefficients());
+            let mean = |of: &dyn Fn(f64) -> f64| {
+                points.iter().map(|point| of(off(&can, &plane.to_camera(*point)))).sum::<f64>() / 20.0
+            };
+            assert!((found.mean - mean(&|off| off)).abs() < 1e-12, "{found:?} in line {line}");
+            assert!((found.square - mean(&|off| off * off)).abs() < 1e-12, "{found:?} in line {line}");
+        }
+    }
+
+    #[test]
+    fn a_ray_that_meets_what_leans_enters_it_from_outside_and_others_pass_by_its_side() {
+        let can = leaning();
+        let mut met = [0; 2];
+        for arc in &arcs_from(&[0, 60, 120, 180, 239].map(|line| straight(line, 150, 1.0))).arcs {
+            let section = section_of(&FixedSlope(can).coefficients(), &arc.plane);
+            for x in (-20..=20).map(|i| 0.02 * f64::from(i)) {
+                let found = arc.hit(&section, x);
+                if let Some(z) = found {
+                    assert!(
+                        off(&can, &arc.point(x, z)).abs() < 1e-9 && off(&can, &arc.point(x, z - 1e-3)) > 0.0,
+                        "{x}"
+                    );
+                } else {
+                    let both = arc.point(x, 1.0).cross(&can.axis);
+                    assert!(both.dot(&can.point).abs() >= can.radius * both.norm(), "{x}");
+                }
+                met[usize::from(found.is_some())] += 1;
+            }
+        }
+        assert!(met.iter().all(|count| *count > 20), "{met:?}");
+    }
+
+    #[test]
+    fn no_more_points_lie_outside_than_are_told() {
+        let (header, mut ellipses) = ellipses_of_a_can();
+        ellipses.iter_mut().flat_map(|ellipse| &mut ellipse.ends).for_each(|end| end[2..].fill(0.0));
+        let mut arcs = Arcs::default();
+        arcs.read(&header, &ellipses);
+        let far_off = Sphere { center: Vector3::new(3.0, 0.0, 2.0), radius: 0.1 }.coefficients();
+        let arc = arcs.arcs.iter().find(|arc| arc.line == 120).unwrap();
+        let counted = |end: SpaceMoments| end.weight() * f64::from(arc.count) / arc.points;
+        let outside: Vec<_> = arc.outside(&far_off, 0.0).map(counted).collect();
+        assert!(outside.len() == 2 && outside.iter().all(|count| (count - 2.0).abs() < 1e-9), "{outside:?}");
+    }
+
+    #[test]
+    fn a_line_grazes_a_surface_if_its_middle_is_near_the_outline() {
+        let ball = Sphere { center: Vector3::new(0.4, 0.0, 1.5), radius: 0.15 };
+        let arcs = arcs_of(&[sphere(ball.center, ball.radius), wall(4.0)]);
+        let rows = rows_of(&arcs, |arc| arc.mean.z < 2.0);
+        let grazing = |edge_px: f64| {
+            let lines = arcs.of(&rows).enumerate().filter(|(_, arc)| arc.grazes(&ball.coefficients(), edge_px));
+            lines.map(|(line, _)| line).collect::<Vec<_>>()
+        };
+        let (near, last) = (grazing(3.0), rows.len() - 1);
+        assert_eq!(grazing(0.0), [0; 0], "all of them show the ball");
+        assert!(near.contains(&0) && near.contains(&last) && near.len() < 10 && last > 40, "{near:?} of {last}");
+    }
+
+    /// The steepest surface falls off by five times the distance of two lines, the mean of four points scatters by half of what
+    /// each does, and those of a circle lie before its centre by an eighth of pi of its width.
+    #[test]
+    fn depths_of_one_surface_differ_by_its_slope_by_noise_and_by_how_much_longer_one_arc_is() {
+        for (lines, spacing, sigma, longer, pitch) in
+            [(2, 0.003, 0.0, 0, 0.001), (1, 0.0, 0.01, 0, 0.001), (1, 0.0, 0.0, 16, 0.002), (3, 0.004, 0.02, 30, 0.002)]
+        {
+            let mut ellipses = [straight(100, 150, 1.0), straight(100 + lines, 150, 1.0)];
+            ellipses[1].last += longer;
+            let touch = |apart: f64| {
+                let mut arcs = arcs_from(&ellipses);
+                for (arc, (points, z)) in arcs.arcs.iter_mut().zip([(100.0, 1.0), (4.0, 1.0 + apart)]) {
+                    (arc.spacing, arc.variance, arc.pitch) = (spacing, sigma * sigma, pitch);
+                    (arc.points, arc.mean.z) = (points, z);
+                }
+                let [one, other] = &arcs.arcs[..] else { panic!("{arcs:?}") };
+                assert_eq!(arcs.touches(one, other), arcs.touches(other, one), "{apart}");
+                arcs.touches(one, other)
+            };
+            let slope = 5.0 * f64::from(lines) * spacing;
+            let most = slope + 4.0 * sigma / 2.0 + PI / 8.0 * f64::from(longer) * pitch;
+            assert_eq!([0.99, 1.01, -0.99, -1.01].map(|part| touch(part * most)), [true, false, true, false], "{most}");
+        }
+    }
 
     #[test]
     fn a_ray_meets_a_surface_where_it_enters_it_and_one_that_passes_by_or_leaves_it_behind_meets_nothing() {

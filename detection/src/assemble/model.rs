@@ -269,3 +269,94 @@ fn round_about(moments: &QuadricMoments, axis: &Vector3) -> Option<(f64, Conical
     let radius = (circle.radius * moments.scale).min(WIDEST);
     radius.is_finite().then_some((circle_square, Conical { point: frame.point + u * x + v * y, radius, ..frame }))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::arcs::Arcs;
+    use super::super::contours::Contours;
+    use super::super::tests::{arcs_by, arcs_of, rows_of, wall};
+    use super::*;
+    use conicflow_geometry::fit_with_contour;
+    use conicflow_lab::rendered::{KINECT_HALF, frustum};
+    use conicflow_messages::NoiseModel;
+
+    /// A cone that leans, two metres away.
+    fn cone() -> Conical {
+        let axis = Vector3::new(0.1, 0.9, 0.2).normalize();
+        Conical { point: Vector3::new(0.05, 0.0, 2.0), axis, radius: 0.2, slope: 0.3 }
+    }
+
+    fn body(cone: &Conical) -> conicflow_lab::simulator::shapes::Shape {
+        frustum(cone.point, cone.axis, cone.radius, cone.slope, 0.6)
+    }
+
+    fn fitted(arcs: &Arcs, rows: &[usize]) -> SurfaceFit<FreeSlope, 6> {
+        match fit(ObjectKind::Cone, &arcs.of(rows), None, f64::INFINITY) {
+            Some(Model::Cone(fit)) => fit,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    /// F is too great by as much as the radius is greater than in the middle.
+    #[test]
+    fn the_points_of_a_cone_are_off_by_their_distance_wherever_they_are() {
+        let cone = cone();
+        let arcs = arcs_by(KINECT_HALF, NoiseModel::IDEAL, &[body(&cone)]);
+        let (rows, depth) = (rows_of(&arcs, |arc| cone.radius_at(&arc.mean) > 0.14), 0.004);
+        let mut fit = fitted(&arcs, &rows);
+        // Farther in everywhere by so much, across its surface.
+        fit.surface.0 = Conical { radius: cone.radius - depth / cone.half_angle().cos(), ..cone };
+        let model = Model::Cone(fit);
+        let excesses: Vec<_> = arcs.of(&rows).map(|arc| model.excess(arc).unwrap()).collect();
+        assert!(excesses.iter().any(|excess| *excess < 0.8) && excesses.iter().any(|excess| *excess > 1.3));
+        for arc in arcs.of(&rows) {
+            let Misfit { square, mean } = model.misfit(&model.coefficients(), arc).unwrap();
+            assert!((mean / depth - 1.0).abs() < 0.1, "{mean} m, where it is {} m wide", cone.radius_at(&arc.mean));
+            assert!((square / (depth * depth) - 1.0).abs() < 0.2, "{square}, {} m wide", cone.radius_at(&arc.mean));
+        }
+    }
+
+    #[test]
+    fn a_cone_is_as_sure_of_its_surface_and_of_its_contour_whichever_way_its_axis_points() {
+        let cone = cone();
+        let arcs = arcs_of(&[body(&cone), wall(4.0)]);
+        let rows = rows_of(&arcs, |arc| arc.mean.z < 2.5);
+        let (fit, mut contours) = (fitted(&arcs, &rows), Contours::default());
+        let region = Region { arcs: &arcs, model: Model::Cone(fit), members: &rows };
+        contours.fit(&region).unwrap();
+        let points = pool_within(&region, 0.0).normalized().unwrap();
+        let before = fit.surface.0;
+        let start = FreeSlope(Conical { axis: -before.axis, slope: -before.slope, ..before });
+        let downwards = fit_with_contour(&points, contours.last(), &start).unwrap();
+        let upwards = upright(downwards);
+        let (up, down) = (upwards.surface.0, downwards.surface.0);
+        assert!(
+            down.slope < -0.2 && up.slope == -down.slope && up.axis == -down.axis && up.axis.dot(&cone.axis) > 0.99
+        );
+        let of = |fit: &SurfaceFit<FreeSlope, 6>, point: &Vector3| {
+            let contour = SurfaceFit { inverse: fit.contour, ..*fit };
+            [fit, &contour].map(|fit| Prediction::new(fit).variance(point))
+        };
+        for arc in arcs.of(&rows) {
+            for (found, expected) in of(&upwards, &arc.mean).into_iter().zip(of(&downwards, &arc.mean)) {
+                assert!((found / expected - 1.0).abs() < 1e-6 && expected > 0.0, "{found} {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_model_costs_what_it_leaves_of_the_points_and_of_the_contour() {
+        let arcs = arcs_of(&[body(&cone()), wall(4.0)]);
+        let rows = rows_of(&arcs, |arc| arc.mean.z < 2.5);
+        for kind in [ObjectKind::Cylinder, ObjectKind::Cone] {
+            let model = fit(kind, &arcs.of(&rows), None, f64::INFINITY).unwrap();
+            let model = Contours::default().fit(&Region { arcs: &arcs, model, members: &rows }).unwrap();
+            let (square_sum, contour_sum) = match &model {
+                Model::Sphere(fit) => (fit.square_sum, fit.contour_sum),
+                Model::Cylinder(fit) => (fit.square_sum, fit.contour_sum),
+                Model::Cone(fit) => (fit.square_sum, fit.contour_sum),
+            };
+            assert!(model.cost() == square_sum + contour_sum && contour_sum > 1.0, "{kind:?}: {contour_sum}");
+        }
+    }
+}

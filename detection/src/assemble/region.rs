@@ -61,3 +61,25 @@ impl<'a> Region<'a> {
             .fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], x| [a.min(x), b.max(x)])
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::model;
+    use super::super::tests::{arcs_of, rows_of};
+    use super::*;
+    use conicflow_lab::rendered::cylinder;
+    use conicflow_messages::ObjectKind;
+
+    #[test]
+    fn places_along_an_axis_are_counted_from_the_point_of_the_surface_and_a_sphere_has_none() {
+        let arcs = arcs_of(&[cylinder(Vector3::z() * 2.0, Vector3::y(), 0.2, 0.7)]);
+        let members = rows_of(&arcs, |_| true);
+        let of = |kind: ObjectKind, along: f64| {
+            let model = model::fit(kind, &arcs.of(&members), None, f64::INFINITY).unwrap();
+            let region = Region { arcs: &arcs, model, members: &members };
+            let point = model.conical().map_or(Vector3::zeros(), |can| can.point + can.axis * along);
+            region.along(&point)
+        };
+        assert!((of(ObjectKind::Cylinder, 0.3) - 0.3).abs() < 1e-12 && of(ObjectKind::Sphere, 0.3) == 0.0);
+    }
+}

@@ -146,3 +146,47 @@ impl Seeds {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::model;
+    use super::super::region::Region;
+    use super::super::tests::{arcs_of, rows_of};
+    use super::super::verify::{Measured, Outline};
+    use super::*;
+    use conicflow_geometry::Vector3;
+    use conicflow_lab::rendered::cylinder;
+    use conicflow_messages::ObjectKind;
+
+    /// From the middle of half of its length and one and a half radii.
+    #[test]
+    fn an_object_takes_what_its_surface_explains_as_far_as_it_reaches_and_a_little_beyond() {
+        let (radius, low, high) = (0.05, -0.02, 0.12);
+        let arcs = arcs_of(&[cylinder(Vector3::z(), Vector3::y(), radius, 0.7)]);
+        let rows = rows_of(&arcs, |_| true);
+        let members = rows_of(&arcs, |arc| (low..high).contains(&arc.mean.y));
+        let model = model::fit(ObjectKind::Cylinder, &arcs.of(&rows), None, f64::INFINITY).unwrap();
+        let region = Region { arcs: &arcs, model, members: &members };
+        let along = |y: f64| region.along(&Vector3::new(0.0, y, 1.0));
+        let extent = [along(low).min(along(high)), along(low).max(along(high))];
+        let (lines, count, points) = (members.len() as u32, 1000, 1000.0);
+        let measured =
+            Measured { count, points, lines, variance: 1e-6, misfit: 0.0, curvature: 100.0, angle: 2.0, extent };
+        let outline = Outline { square: 1.0, far_off: 0.0, free: 1.0 };
+        let mut seeds = Seeds::default();
+        seeds.order(&arcs, None);
+        seeds.take(&Candidate { region, measured, outline, roundness: 0.0 }, &Object { radius, ..Object::default() });
+        let reach = 0.5 * (high - low) + 1.5 * radius;
+        let (mut taken, mut left) = (0, 0);
+        for &row in &rows {
+            let away = (arcs.arcs[row].mean - Vector3::new(0.0, 0.5 * (low + high), 1.0)).norm();
+            // A line that scatters by chance is not explained.
+            match seeds.is_free(row) {
+                false if away < reach + 0.005 => taken += 1,
+                true if away > reach - 0.005 => left += 1,
+                is_free => assert!(is_free && away > 0.08, "{is_free} {away} m from its middle, of {reach} m"),
+            }
+        }
+        assert!(taken > 60 && left > 60, "{taken} {left}");
+    }
+}

@@ -1,8 +1,8 @@
 //! Tests of the pooled method, on rendered frames.
 
-use super::arcs::Arcs;
+use super::arcs::{Arc, Arcs};
 use super::growth::{Growing, chain};
-use super::model::{self, pool_within};
+use super::model::{self, Model, pool_within};
 use super::odds::Evidence;
 use super::region::Region;
 use super::seeds::{MAX_VAIN, Seeds};
@@ -367,16 +367,8 @@ fn sigmas_are_those_of_the_same_can_beside_the_middle() {
 
 #[test]
 fn arcs_of_one_surface_have_a_column_in_common_and_are_at_the_same_depth() {
-    let at = |line: u32, first: u32, depth: f64| {
-        let last = first + 19;
-        let mut ellipse = Ellipse { line, first, last, points: 20, origin: [0.0, depth], ..Ellipse::default() };
-        ellipse.moments[0] = 20.0;
-        ellipse
-    };
-    let header = Header { camera: KINECT_HALF, noise: NoiseModel::KINECT_V1, ..Header::default() };
     let goes_on = |first: u32, depth: f64| {
-        let mut arcs = Arcs::default();
-        arcs.read(&header, &[at(100, 150, 1.0), at(101, first, depth)]);
+        let arcs = arcs_from(&[straight(100, 150, 1.0), straight(101, first, depth)]);
         arcs.beside(0, 1, 1, |_| true).is_some()
     };
     assert_eq!([1.0, 1.01, 1.1, 0.9].map(|depth| goes_on(150, depth)), [true, true, false, false]);
@@ -415,9 +407,34 @@ fn after_two_rounds_nothing_is_allocated() {
 
 /// The arcs of a scene as a Kinect sees it.
 pub(super) fn arcs_of(bodies: &[Shape]) -> Arcs {
-    let (header, pixels) = render(KINECT_HALF, NoiseModel::KINECT_V1, bodies, 1);
+    arcs_by(KINECT_HALF, NoiseModel::KINECT_V1, bodies)
+}
+
+/// The same as another camera sees it.
+pub(super) fn arcs_by(camera: Camera, noise: NoiseModel, bodies: &[Shape]) -> Arcs {
+    let (header, pixels) = render(camera, noise, bodies, 1);
     let mut arcs = Arcs::default();
     arcs.read(&header, Extractor::new(ExtractorParameters::default()).extract(&header, &pixels));
+    arcs
+}
+
+/// Those of the arcs in rows that are of something.
+pub(super) fn rows_of(arcs: &Arcs, is_of_it: impl Fn(&Arc) -> bool) -> Vec<usize> {
+    let is_row = |&index: &usize| arcs.arcs[index].scan == Scan::Row && is_of_it(&arcs.arcs[index]);
+    (0..arcs.arcs.len()).filter(is_row).collect()
+}
+
+/// 20 points, all as far along the view, in a row from a pixel on.
+pub(super) fn straight(line: u32, first: u32, away: f64) -> Ellipse {
+    let mut ellipse = Ellipse { line, first, last: first + 19, points: 20, origin: [0.0, away], ..Ellipse::default() };
+    ellipse.moments[0] = 20.0;
+    ellipse
+}
+
+/// The arcs of some ellipses, as if a Kinect had shown them.
+pub(super) fn arcs_from(ellipses: &[Ellipse]) -> Arcs {
+    let mut arcs = Arcs::default();
+    arcs.read(&Header { camera: KINECT_HALF, noise: NoiseModel::KINECT_V1, ..Header::default() }, ellipses);
     arcs
 }
 
@@ -429,19 +446,21 @@ pub(super) fn ellipses_of_a_can() -> (Header, Vec<Ellipse>) {
 }
 
 #[test]
-fn what_is_surely_larger_than_its_limit_does_not_grow_on() {
+fn what_is_surely_larger_than_its_limit_does_not_grow_on_and_what_may_be_smaller_does() {
     let (header, ellipses) = ellipses_of_a_can();
     let mut parameters = AssemblerParameters::default();
-    let mut grown = |max_m: f64| {
+    let mut grown = |max_m: f64, shared_lines: f64| {
         (parameters.sphere.max_m, parameters.cylinder.max_m, parameters.cone.max_m) = (max_m, max_m, max_m);
         let (mut arcs, mut growing) = (Arcs::default(), Growing::default());
         arcs.read(&header, &ellipses);
+        arcs.arcs.iter_mut().for_each(|arc| arc.shared_lines = shared_lines);
         let seed = arcs.arcs.iter().position(|arc| arc.scan == Scan::Row && arc.line == 120).unwrap();
         chain(&arcs, seed, parameters.max_gap(), |_| true, &mut growing.chain);
         growing.models(&arcs, &parameters, |_| true)[1]
     };
-    assert!(grown(0.5).is_ok());
-    assert!(matches!(grown(0.1), Err(Rejection::Radius)), "its radius is 0.2 m");
+    assert!(grown(0.5, 1.0).is_ok());
+    assert!(matches!(grown(0.1, 1.0), Err(Rejection::Radius)), "its radius is 0.2 m");
+    assert!(grown(0.1, 1e6).is_ok(), "all lines share their noise, so that its radius is known to no millimetre");
 }
 
 #[test]
@@ -488,17 +507,9 @@ fn what_grows_in_vain_on_one_surface_lets_another_one_come_first() {
 
 #[test]
 fn a_surface_is_what_hangs_together_over_gaps_and_ends_at_what_is_taken() {
-    let at = |line: u32, first: u32| {
-        let mut ellipse =
-            Ellipse { line, first, last: first + 19, points: 20, origin: [0.0, 1.0], ..Ellipse::default() };
-        ellipse.moments[0] = 20.0;
-        ellipse
-    };
-    let header = Header { camera: KINECT_HALF, noise: NoiseModel::KINECT_V1, ..Header::default() };
-    let mut arcs = Arcs::default();
     // Two arms that meet in the arc of line 103, and one beside them.
-    let ellipses = [at(100, 40), at(100, 80), at(102, 50), at(102, 70), at(103, 60), at(106, 60), at(100, 150)];
-    arcs.read(&header, &ellipses);
+    let places = [(100, 40), (100, 80), (102, 50), (102, 70), (103, 60), (106, 60), (100, 150)];
+    let arcs = arcs_from(&places.map(|(line, first)| straight(line, first, 1.0)));
     let named = |arc: usize| (arcs.arcs[arc].line, arcs.arcs[arc].pixels[0]);
     let surface = |gap: i64, taken: Option<(u32, i64)>| {
         let first = (0..7).find(|&arc| named(arc) == (100, 40)).unwrap();
@@ -641,6 +652,24 @@ fn lines_near_the_outline_do_not_count_unless_most_are_such() {
     assert!(weight(&all, 0.0) > 1.02 * weight(&all, 3.0));
     assert_eq!(weight(&all[..5], 3.0), weight(&all[..5], 0.0), "nothing else tells of what is seen at its edge alone");
     assert!(weight(&all[..6], 3.0) < 0.7 * weight(&all[..6], 0.0));
+}
+
+#[test]
+fn no_line_is_left_out_as_a_whole_where_nothing_is_flattened() {
+    let arcs = arcs_of(&[sphere(Vector3::z() * 1.5, 0.2), wall(4.0)]);
+    let rows = rows_of(&arcs, |arc| arc.mean.z < 2.0);
+    let Some(Model::Sphere(mut fit)) = model::fit(ObjectKind::Sphere, &arcs.of(&rows), None, f64::INFINITY) else {
+        panic!("no ball")
+    };
+    // The outermost lines pass by such a ball.
+    fit.surface.radius = 0.18;
+    let model = Model::Sphere(fit);
+    let q = model.coefficients();
+    let beside = arcs.of(&rows).filter(|arc| arc.grazes(&q, 0.0)).count();
+    let weight = |arc: &Arc| arc.space().weight() - arc.outside(&q, 0.0).map(|end| end.weight()).sum::<f64>();
+    let expected: f64 = arcs.of(&rows).map(|arc| weight(arc) / arc.variance).sum();
+    let found = pool_within(&Region { arcs: &arcs, model, members: &rows }, 0.0).weight();
+    assert!((4..20).contains(&beside) && (found / expected - 1.0).abs() < 1e-9, "{beside}: {found} {expected}");
 }
 
 /// What a sensor shows that smears the silhouette of a ball outwards by so many pixels: what it shows from twice as far within
