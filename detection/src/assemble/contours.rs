@@ -278,7 +278,13 @@ fn covariance(offset_px: f64, share: f64) -> Matrix4<f64> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::arcs::Arcs;
+    use super::super::model;
+    use super::super::tests::{arcs_of, wall};
     use super::*;
+    use conicflow_geometry::Vector3;
+    use conicflow_lab::rendered::{KINECT_HALF, sphere};
+    use conicflow_messages::ObjectKind;
 
     const CAMERA: Camera = Camera { width: 320, height: 240, fx: 262.5, fy: 262.5, cx: 159.5, cy: 119.5 };
 
@@ -325,5 +331,100 @@ mod tests {
         }
         contours.next_image(&Camera { fx: 263.0, ..CAMERA }, 4.0);
         assert_eq!(points(&contours), None);
+    }
+
+    /// Radius and distance of the ball in `ball`.
+    const RADIUS: f64 = 0.2;
+    const DISTANCE: f64 = 1.5;
+
+    /// The arcs of a ball before a wall, and those in rows or columns that are of it.
+    fn ball(scan: Scan) -> (Arcs, Vec<usize>) {
+        let arcs = arcs_of(&[sphere(Vector3::z() * DISTANCE, RADIUS), wall(4.0)]);
+        let is_of_it = |&index: &usize| arcs.arcs[index].scan == scan && arcs.arcs[index].mean.z < 2.0;
+        let members = (0..arcs.arcs.len()).filter(is_of_it).collect();
+        (arcs, members)
+    }
+
+    fn fitted<'a>(arcs: &'a Arcs, members: &'a [usize], contours: &mut Contours) -> Region<'a> {
+        let model = model::fit(ObjectKind::Sphere, &arcs.of(members), None, f64::INFINITY).unwrap();
+        let region = Region { arcs, model, members };
+        Region { model: contours.fit(&region).unwrap(), ..region }
+    }
+
+    #[test]
+    fn each_object_shows_as_much_as_its_contour_has_points_at_the_radius_that_it_has_there() {
+        // All rays that touch a ball do so at one depth.
+        let depth = (DISTANCE.powi(2) - RADIUS.powi(2)) / DISTANCE;
+        let expected_px = KINECT_HALF.fx * RADIUS / depth;
+        for scan in [Scan::Row, Scan::Column] {
+            let ((arcs, members), mut contours) = (ball(scan), Contours::default());
+            let (region, mut points) = (fitted(&arcs, &members, &mut contours), [0.0; 2]);
+            for count in [1.0, 2.0, 3.0] {
+                contours.learn(&region);
+                let told: Vec<_> = contours.errors().collect();
+                let &[ContourErrors { scan: of, objects, sides, .. }] = &told[..] else { panic!("{told:?}") };
+                assert_eq!((of, objects), (scan, count));
+                for side in [0, 1] {
+                    points[side] += contours.last().used_on(side).0 as f64;
+                    assert!(sides[side].points == points[side] && points[side] > 50.0 * count, "{sides:?}");
+                    assert!((sides[side].radius_px / expected_px - 1.0).abs() < 0.03, "{sides:?}, not {expected_px}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn of_what_shows_no_contour_none_is_learned_and_nothing_of_a_side_that_shows_none() {
+        let told = |shows: [bool; 2]| {
+            let ((mut arcs, members), mut contours) = (ball(Scan::Row), Contours::default());
+            arcs.arcs
+                .iter_mut()
+                .for_each(|arc| arc.contour = [0, 1].map(|side| arc.contour[side].filter(|_| shows[side])));
+            let region = fitted(&arcs, &members, &mut contours);
+            contours.learn(&region);
+            contours.errors().collect::<Vec<_>>()
+        };
+        assert_eq!(told([false; 2]), []);
+        let told = told([false, true]);
+        let [ContourErrors { objects: 1.0, sides: [hidden, seen], .. }] = &told[..] else { panic!("{told:?}") };
+        assert!((hidden.points, hidden.radius_px) == (0.0, 0.0) && seen.points > 50.0, "{told:?}");
+        assert_eq!(hidden.outside_px, hidden.offset_px);
+        assert!(hidden.outside_px[1] > 0.9 && seen.outside_px[1] < 0.2, "{told:?}");
+    }
+
+    #[test]
+    fn after_an_object_whose_contour_was_cleared_there_is_none() {
+        let ((arcs, members), mut contours) = (ball(Scan::Row), Contours::default());
+        fitted(&arcs, &members, &mut contours);
+        assert!(contours.last().points() > 100);
+        contours.clear();
+        assert_eq!(contours.last().points(), 0);
+    }
+
+    /// Of windows of three pixels, of which two share the noise of one.
+    #[test]
+    fn a_contour_is_off_by_what_is_its_own_beside_what_is_not_known_of_all() {
+        let unknown = covariance(OFFSET_PX + 2.0 * WINDOW_OFFSET_PX, SHARE);
+        let known = (Vector4::new(-0.5, -0.01, -0.5, 0.02), Matrix4::zeros());
+        for (scan, (mean, common)) in [(Scan::Row, (Vector4::zeros(), unknown)), (Scan::Column, known)] {
+            let (mut arcs, members) = ball(scan);
+            arcs.arcs.iter_mut().for_each(|arc| arc.shared_px = 3.0);
+            let region = fitted(&arcs, &members, &mut Contours::default());
+            let ContourBias { mean: found, covariance: of } = learned().noise(&region).bias;
+            let expected = common + covariance(SYSTEMATIC_PX + 2.0 * FLATTENED_PX, SYSTEMATIC);
+            assert!((found - mean).norm() < 1e-6, "{scan:?}: {found}");
+            for i in 0..4 {
+                assert!((of[(i, i)] / expected[(i, i)] - 1.0).abs() < 1e-3, "{scan:?}: {of}, not {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_expected_of_the_scatter_may_be_wrong_by_as_much_as_it_is() {
+        let before = Learned::default().variance();
+        // What is shown is as unsure as that, so that the mean of both is told.
+        let shown = Information::of(&(before * 3.0), &Matrix2::from_diagonal(&before.map(|variance| variance.powi(2))));
+        let told = Learned { noise: shown.unwrap(), ..Learned::default() }.variance();
+        assert!((told - before * 2.0).component_div(&before).norm() < 1e-9, "{told} {before}");
     }
 }
