@@ -251,5 +251,46 @@ mod tests {
         assert_eq!([of(0.76, 0.25), of(0.75, 0.25)], [(0.76, true), (0.0, false)]);
         let least = 2.5_f64.to_radians();
         assert_eq!([of(1.01 * least, 0.001).1, of(0.99 * least, 0.001).1], [true, false]);
+        let mut parameters = AssemblerParameters::default();
+        parameters.pooled.min_half_angle_deg = 0.0;
+        let unsure = ObjectSigma { half_angle: 0.1, ..ObjectSigma::default() };
+        let vague = Object { half_angle: 0.2, sigma: unsure, ..Object::default() };
+        assert!(!is_cone(&vague, &parameters), "where any half-angle will do, it is a sure one nevertheless");
+    }
+
+    #[test]
+    fn where_nothing_is_left_the_reason_is_that_of_the_most_general_shape_that_grew() {
+        let reason = |reasons: [Rejection; 3]| {
+            let found = reasons.map(Err);
+            choose(found, &AssemblerParameters::default(), &mut Contours::default()).err()
+        };
+        use Rejection::{Gaps, NotGrown, Radius, Short};
+        for (reasons, expected) in [
+            ([Gaps, Radius, Short], Short),
+            ([Gaps, Radius, NotGrown], Radius),
+            ([Gaps, NotGrown, NotGrown], Gaps),
+            ([NotGrown; 3], NotGrown),
+        ] {
+            assert_eq!(reason(reasons), Some(expected), "{reasons:?}");
+        }
+    }
+
+    /// What tapers slightly shows that in many lines and not in a few.
+    #[test]
+    fn shapes_of_about_as_many_points_are_compared_by_the_members_of_the_one_of_more() {
+        let (arcs, all) = upright(0.06);
+        let few = &all[all.len() / 2 - 3..][..6];
+        let chosen = |simple: (&[usize], f64), general: (&[usize], f64)| {
+            let of = |kind: ObjectKind, (members, points)| Candidate {
+                region: Region { members, ..candidate(&arcs, &all, kind, points).region },
+                ..candidate(&arcs, &all, kind, points)
+            };
+            let [simple, general] = [of(ObjectKind::Cylinder, simple), of(ObjectKind::Cone, general)];
+            better(simple, general, &mut Contours::default()).region.model.kind()
+        };
+        for (lesser, greater, expected) in [(few, &all[..], ObjectKind::Cone), (&all, few, ObjectKind::Cylinder)] {
+            assert_eq!(chosen((greater, 100.0), (lesser, 95.0)), expected);
+            assert_eq!(chosen((lesser, 95.0), (greater, 100.0)), expected);
+        }
     }
 }

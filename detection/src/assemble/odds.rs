@@ -237,4 +237,16 @@ mod tests {
         let line = (2.0 - RADIUS) / KINECT_HALF.fy / RADIUS;
         assert!((own - shared - 4.0 * line).abs() < 0.01, "{own} {shared}");
     }
+
+    #[test]
+    fn a_surface_that_goes_on_speaks_more_against_a_sphere() {
+        let against = |is_sphere: bool| {
+            let odds = |continued: f64| {
+                let told = Evidence { continued, is_sphere, ..EVIDENCE }.probability();
+                (told / (1.0 - told)).ln()
+            };
+            odds(0.0) - odds(1.0)
+        };
+        assert!(against(true) > against(false) + 0.5 && against(false) > 0.5, "{} {}", against(true), against(false));
+    }
 }

@@ -216,4 +216,46 @@ mod tests {
         assert!(ahead(2500).contains(&soon) && ahead(4_000_000).contains(&late));
         assert_eq!([deadline(Some(0.0)), deadline(None)], [None, None]);
     }
+
+    #[test]
+    fn limits_of_which_the_least_is_more_than_the_most_are_a_fault_of_their_shape() {
+        let of = |change: &dyn Fn(&mut AssemblerParameters)| {
+            let mut parameters = AssemblerParameters::default();
+            change(&mut parameters);
+            parameters.faults().iter().map(|fault| (fault.key, fault.what.clone())).collect::<Vec<_>>()
+        };
+        assert_eq!(of(&|_| ()), []);
+        assert_eq!(
+            of(&|limits| (limits.cone.min_m, limits.cone.min_length_m) = (0.5, 100.0)),
+            [],
+            "exactly one will do"
+        );
+        let radius = "min_m, 0.6, is more than max_m, 0.5".to_owned();
+        assert_eq!(of(&|limits| limits.sphere.min_m = 0.6), [("sphere", radius.clone())]);
+        assert_eq!(of(&|limits| limits.cylinder.min_m = 0.6), [("cylinder", radius.clone())]);
+        let length = "min_length_m, 2, is more than max_length_m, 1".to_owned();
+        let both = |limits: &mut AssemblerParameters| {
+            limits.cone = AxialLimits { min_m: 0.6, max_m: 0.5, min_length_m: 2.0, max_length_m: 1.0 };
+        };
+        assert_eq!(of(&both), [("cone", radius), ("cone", length)]);
+    }
+
+    #[test]
+    fn what_is_steeper_than_any_cone_may_be_none() {
+        let parameters = AssemblerParameters { max_half_angle_deg: 30.0, ..AssemblerParameters::default() };
+        let fault = |least: f64| parameters.fault_of_half_angle("pooled", least).map(|fault| fault.key);
+        assert_eq!([29.0, 30.0, 31.0].map(fault), [None, None, Some("pooled")]);
+    }
+
+    #[test]
+    fn without_limits_of_its_length_an_object_has_any_length_that_a_camera_sees() {
+        let parameters: AssemblerParameters = toml::from_str("cone = { min_m = 0.1, max_m = 0.2 }").unwrap();
+        assert!([0.0, 99.0].iter().all(|length| parameters.lengths_m(ObjectKind::Cone).contains(length)));
+    }
+
+    #[test]
+    fn gaps_are_as_wide_as_they_may_be() {
+        let pooled = PooledParameters { max_gap_lines: 7, ..PooledParameters::default() };
+        assert_eq!(AssemblerParameters { pooled, ..AssemblerParameters::default() }.max_gap(), 7);
+    }
 }

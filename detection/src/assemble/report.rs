@@ -173,11 +173,11 @@ fn covariance<S: Surface<N>, const N: usize>(region: &Region, fit: &SurfaceFit<S
 mod tests {
     use super::super::arcs::Arcs;
     use super::super::model;
-    use super::super::tests::arcs_of;
+    use super::super::tests::{arcs_by, arcs_of, rows_of};
     use super::*;
     use conicflow_geometry::{Pinhole, Scan};
-    use conicflow_lab::rendered::frustum;
-    use conicflow_messages::{Camera, Ellipse, Header};
+    use conicflow_lab::rendered::{KINECT_HALF, frustum, sphere};
+    use conicflow_messages::{Camera, Ellipse, Header, NoiseModel};
 
     #[test]
     fn lines_lie_farther_apart_along_an_axis_that_leans_and_an_end_is_known_by_lines() {
@@ -343,5 +343,27 @@ mod tests {
         assert!((flattened.radius - 0.0012_f64.hypot(0.0003)).abs() < 1e-6, "{flattened:?}");
         assert!((flattened.center[1][1].sqrt() - 0.0012).abs() < 1e-6 && flattened.center[0][1] == 0.0);
         assert!((flattened.axis - 0.01_f64.hypot(0.01697)).abs() < 1e-4, "{flattened:?}");
+    }
+
+    /// Along its rays a ball has the same noise and the same slopes wherever it is. By symmetry it is not larger if it is farther to
+    /// one side.
+    #[test]
+    fn noise_tells_as_much_of_a_ball_below_the_view_as_of_one_straight_ahead() {
+        let radius = |below: f64| {
+            // A camera whose image begins far below its optical axis.
+            let camera = Camera { cy: KINECT_HALF.cy - below * KINECT_HALF.fy, ..KINECT_HALF };
+            let center = Vector3::new(0.0, below, 1.0).normalize() * 1.5;
+            let mut arcs = arcs_by(camera, NoiseModel::KINECT_V1, &[sphere(center, 0.2)]);
+            arcs.arcs.iter_mut().for_each(|arc| arc.shared_lines = 1.0);
+            let rows = rows_of(&arcs, |_| true);
+            let region = fitted(&arcs, &rows, ObjectKind::Sphere);
+            let Model::Sphere(fit) = &region.model else { unreachable!() };
+            let of = covariance(&region, fit);
+            let together = of[(0, 3)] / (of[(0, 0)] * of[(3, 3)]).sqrt();
+            assert!(together.abs() < 0.05, "{together}");
+            of[(3, 3)] / fit.inverse[(3, 3)]
+        };
+        let [ahead, below] = [0.0, 1.0].map(radius);
+        assert!((below / ahead - 1.0).abs() < 0.1, "{below} {ahead}");
     }
 }

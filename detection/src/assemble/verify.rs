@@ -269,9 +269,10 @@ fn curvature(region: &Region, variance: f64, misfit: f64) -> f64 {
 mod tests {
     use super::super::growth::{Growing, chain};
     use super::super::model;
-    use super::super::tests::arcs_of;
+    use super::super::parameters::PooledParameters;
+    use super::super::tests::{arcs_of, rows_of, wall};
     use super::*;
-    use conicflow_lab::rendered::{cylinder, frustum};
+    use conicflow_lab::rendered::{KINECT_HALF, cylinder, frustum, sphere};
     use conicflow_messages::ObjectKind;
 
     #[test]
@@ -296,7 +297,12 @@ mod tests {
             parameters.pooled.min_coverage = min_coverage;
             check(&Region { members: &every_other, ..region }, &parameters).err()
         };
-        assert_eq!([0.45, 0.55].map(&mut has_gaps), [None, Some(Rejection::Gaps)]);
+        // Of all lines from the first to the last.
+        let shown = every_other.len() as f64;
+        let [fewer, all, more] = [2.0, 1.0, 0.0].map(|less| shown / (2.0 * shown - less));
+        assert_eq!([0.5 * (more + all), 0.5 * (all + fewer)].map(&mut has_gaps), [None, Some(Rejection::Gaps)]);
+        parameters.pooled.min_coverage = 1.0;
+        assert_eq!(check(&region, &parameters).err(), None, "all of them");
     }
 
     #[test]
@@ -312,5 +318,197 @@ mod tests {
             checked
         };
         assert_eq!([checked(), checked()], [None, Some(Rejection::Short)]);
+    }
+
+    fn fitted<'a>(arcs: &'a Arcs, members: &'a [usize], kind: ObjectKind) -> Region<'a> {
+        let model = model::fit(kind, &arcs.of(members), None, f64::INFINITY).unwrap();
+        Region { arcs, model, members }
+    }
+
+    /// What a limit says of this and of a little more.
+    fn limited(region: &Region, limit: impl Fn(&mut AssemblerParameters, f64)) -> [Option<Rejection>; 2] {
+        [0.97, 1.03].map(|times| {
+            let mut parameters = AssemblerParameters::default();
+            parameters.pooled = PooledParameters { min_length_radii: 0.1, min_cap_radii: 0.1, ..parameters.pooled };
+            limit(&mut parameters, times);
+            check(region, &parameters).err()
+        })
+    }
+
+    #[test]
+    fn what_is_seen_of_an_object_is_as_large_as_its_limits_ask() {
+        let can = arcs_of(&[cylinder(Vector3::z() * 2.0, Vector3::y(), 0.2, 0.5)]);
+        let rows = rows_of(&can, |_| true);
+        let region = fitted(&can, &rows, ObjectKind::Cylinder);
+        let (view, angle) = (rows.len() as f64 / KINECT_HALF.fy, measure(&region).angle);
+        let limit =
+            |limits: &mut AssemblerParameters, times: f64| limits.pooled.min_view_deg = times * view.to_degrees();
+        assert_eq!(limited(&region, limit), [None, Some(Rejection::Small)]);
+        let limit = |limits: &mut AssemblerParameters, times: f64| limits.pooled.min_length_radii = times * 0.5 / 0.2;
+        assert_eq!(limited(&region, limit), [None, Some(Rejection::Short)]);
+        let limit =
+            |limits: &mut AssemblerParameters, times: f64| limits.pooled.min_arc_deg = times * angle.to_degrees();
+        assert_eq!(limited(&region, limit), [None, Some(Rejection::ShortArc)]);
+        let ball = arcs_of(&[sphere(Vector3::z() * 2.0, 0.2)]);
+        let upper = rows_of(&ball, |arc| arc.mean.y < -0.05);
+        let cap = fitted(&ball, &upper, ObjectKind::Sphere);
+        let [from, to] = measure(&cap).extent;
+        assert!((0.12..0.15).contains(&(to - from)), "{from} to {to} m, of the upper 15 cm");
+        let limit = |limits: &mut AssemblerParameters, times: f64| {
+            limits.pooled.min_cap_radii = times * (to - from) / cap.model.radius().0;
+        };
+        assert_eq!(limited(&cap, limit), [None, Some(Rejection::Short)]);
+    }
+
+    #[test]
+    fn a_cone_is_no_blunter_than_it_may_be() {
+        let arcs = arcs_of(&[frustum(Vector3::z() * 2.0, Vector3::y(), 0.2, 0.4, 0.5)]);
+        let rows = rows_of(&arcs, |_| true);
+        let region = fitted(&arcs, &rows, ObjectKind::Cone);
+        let half_angle = region.model.conical().unwrap().half_angle().to_degrees();
+        let limit = |limits: &mut AssemblerParameters, times: f64| limits.max_half_angle_deg = half_angle / times;
+        assert_eq!(limited(&region, limit), [None, Some(Rejection::HalfAngle)]);
+    }
+
+    /// The seen side of what is so far away lies between the rays that touch it, but for the pixels at its edges.
+    #[test]
+    fn the_visible_angle_is_that_about_the_axis_or_about_the_middle_of_each_line_of_a_ball() {
+        let touched = 2.0 * (0.2_f64 / 2.0).acos();
+        let can = arcs_of(&[cylinder(Vector3::z() * 2.0, Vector3::y(), 0.2, 0.5)]);
+        let ball = arcs_of(&[sphere(Vector3::z() * 2.0, 0.2)]);
+        let (rows, beside) = (rows_of(&can, |_| true), rows_of(&ball, |arc| (0.08..0.12).contains(&arc.mean.y)));
+        let all = rows_of(&ball, |_| true);
+        let round = Region { members: &beside, ..fitted(&ball, &all, ObjectKind::Sphere) };
+        for region in [fitted(&can, &rows, ObjectKind::Cylinder), round] {
+            let angle = measure(&region).angle;
+            assert!((0.7 * touched..touched).contains(&angle), "{angle} of {touched}");
+        }
+    }
+
+    #[test]
+    fn pixels_at_the_ends_of_a_line_do_not_make_an_object_longer() {
+        let axis = Vector3::new(0.5, 0.8, 0.0).normalize();
+        let arcs = arcs_of(&[cylinder(Vector3::z() * 2.0, axis, 0.2, 1.0)]);
+        let rows = rows_of(&arcs, |arc| arc.mean.y.abs() < 0.1);
+        let whole = fitted(&arcs, &rows, ObjectKind::Cylinder);
+        let member = [rows[rows.len() / 2]];
+        let (region, arc) = (Region { members: &member, ..whole }, &arcs.arcs[member[0]]);
+        let section = section_of(&region.model.coefficients(), &arc.plane);
+        let ends = [arc.pixels[0] + 2, arc.pixels[1] - 2].map(|pixel| {
+            let x = (pixel as f64 - KINECT_HALF.cx) / KINECT_HALF.fx;
+            region.along(&arc.point(x, arc.hit(&section, x).unwrap()))
+        });
+        let [from, to] = measure(&region).extent;
+        let line = spacing_along(arc.spacing, &arc.plane, &region.model.conical().unwrap().axis);
+        let expected = (ends[1] - ends[0]).abs() + line;
+        assert!((to - from - expected).abs() < 1e-9, "{} {expected}", to - from);
+    }
+
+    #[test]
+    fn nothing_of_a_cone_lies_beyond_its_apex() {
+        let arcs = arcs_of(&[frustum(Vector3::z() * 2.0, Vector3::y(), 0.2, 0.2, 0.5)]);
+        let rows = rows_of(&arcs, |_| true);
+        let Model::Cone(mut fit) = fitted(&arcs, &rows, ObjectKind::Cone).model else { panic!("no cone") };
+        let extent = |fit| measure(&Region { arcs: &arcs, model: Model::Cone(fit), members: &rows }).extent;
+        let ([from, _], cone) = (extent(fit), fit.surface.0);
+        // Such a one that its radius is zero within what is seen.
+        fit.surface.0.slope = cone.radius / (0.5 * -from);
+        let apex = fit.surface.0.axis.dot(&(fit.surface.0.apex() - cone.point));
+        assert!((extent(fit)[0] - apex).abs() < 1e-12 && apex > from, "{} {apex}", extent(fit)[0]);
+        fit.surface.0.slope = 0.0;
+        assert!(extent(fit)[0] < apex, "a cone that does not taper has none");
+    }
+
+    #[test]
+    fn an_axis_leans_by_forty_degrees_from_the_lines_and_by_25_from_the_view() {
+        let arcs = arcs_of(&[cylinder(Vector3::z() * 2.0, Vector3::y(), 0.2, 0.5)]);
+        let rows = rows_of(&arcs, |_| true);
+        let region = fitted(&arcs, &rows, ObjectKind::Cylinder);
+        let measured = Measured { extent: [-0.1, 0.1], ..measure(&region) };
+        let Model::Cylinder(mut fit) = region.model else { panic!("{region:?}") };
+        let mut along = |x: f64, y: f64, z: f64| {
+            (fit.surface.0.point, fit.surface.0.axis) = (Vector3::z() * 2.0, Vector3::new(x, y, z));
+            runs_along(&Region { model: Model::Cylinder(fit), ..region }, &measured)
+        };
+        for side in [-1.0, 1.0] {
+            let mut from = |degrees: f64, is_view: bool| {
+                let (sine, cosine) = degrees.to_radians().sin_cos();
+                if is_view { along(0.0, sine, side * cosine) } else { along(side * cosine, sine, 0.0) }
+            };
+            assert_eq!([from(39.0, false), from(41.0, false), from(90.0, false)], [true, false, false]);
+            assert_eq!([from(24.0, true), from(26.0, true)], [true, false]);
+        }
+        assert!(!runs_along(&fitted(&arcs, &rows, ObjectKind::Sphere), &measured), "a ball has no axis");
+    }
+
+    #[test]
+    fn an_object_is_curved_by_four_deviations_of_what_noise_makes_of_a_plane() {
+        let mut arcs = arcs_of(&[cylinder(Vector3::z() * 2.0, Vector3::y(), 0.2, 0.5)]);
+        let rows = rows_of(&arcs, |_| true);
+        let model = fitted(&arcs, &rows, ObjectKind::Cylinder).model;
+        for (sigmas, expected) in [(3.9_f64, Some(Rejection::Flat)), (4.1, None)] {
+            for _ in 0..8 {
+                let louder = measure(&Region { arcs: &arcs, model, members: &rows }).curvature / sigmas.powi(2);
+                arcs.arcs.iter_mut().for_each(|arc| arc.variance *= louder);
+            }
+            let region = Region { arcs: &arcs, model, members: &rows };
+            assert!((measure(&region).curvature / sigmas.powi(2) - 1.0).abs() < 0.01);
+            assert_eq!(check(&region, &AssemblerParameters::default()).err(), expected);
+        }
+    }
+
+    /// A plane leaves so much more of the points, in variances, as if they scattered by what the surface leaves of them.
+    #[test]
+    fn points_that_share_their_noise_or_miss_the_surface_show_less_of_how_it_is_curved() {
+        let mut arcs = arcs_of(&[cylinder(Vector3::z() * 2.0, Vector3::y(), 0.2, 0.5)]);
+        let rows = rows_of(&arcs, |_| true);
+        let mut of = |variance: f64, misfit: f64, shared_lines: f64| {
+            arcs.arcs.iter_mut().for_each(|arc| arc.shared_lines = shared_lines);
+            let region = fitted(&arcs, &rows, ObjectKind::Cylinder);
+            (curvature(&region, variance, misfit), region.points())
+        };
+        let (whole, points) = of(1e-5, 0.0, 1.0);
+        for (variance, misfit, shared_lines, expected) in [
+            (2e-5, 0.0, 1.0, whole / 2.0),
+            (1e-5, 0.0, 4.0, whole / 4.0),
+            (1e-5, 1.0, 1.0, (whole - points) / 2.0),
+            (1e-5, 2.0, 1.0, (whole - 2.0 * points) / 3.0),
+            (1e-5, -0.5, 1.0, whole + 0.5 * points),
+        ] {
+            let (found, _) = of(variance, misfit, shared_lines);
+            assert!((found / expected - 1.0).abs() < 1e-9, "{found} {expected}");
+        }
+    }
+
+    #[test]
+    fn ends_are_free_before_what_is_not_measured_or_farther() {
+        let mut arcs = arcs_of(&[sphere(Vector3::z() * 1.5, 0.2), wall(4.0)]);
+        let rows = rows_of(&arcs, |arc| arc.mean.z < 2.0);
+        let seen = rows.iter().find_map(|&row| arcs.arcs[row].contour[1]).unwrap();
+        arcs.arcs.iter_mut().for_each(|arc| (arc.unseen, arc.contour) = ([false; 2], [None; 2]));
+        for (at, &row) in rows[..10].iter().enumerate() {
+            // Five ends on one side, and seven on the other.
+            (arcs.arcs[row].unseen[0], arcs.arcs[row].contour[1]) = (at < 5, (at < 7).then_some(seen));
+        }
+        let region = Region { members: &rows[..10], ..fitted(&arcs, &rows, ObjectKind::Sphere) };
+        assert_eq!(Outline::of(&region, &Contour::default()).free, 12.0 / 20.0);
+    }
+
+    /// Their mean with four that are as far off as expected, for each line that shares their noise.
+    #[test]
+    fn few_points_of_an_outline_say_little_of_how_well_it_fits() {
+        let mut arcs = arcs_of(&[sphere(Vector3::z() * 1.5, 0.2), wall(4.0)]);
+        let rows = rows_of(&arcs, |arc| arc.mean.z < 2.0);
+        for (lines, shared_lines) in [(20, 1.0), (60, 1.0), (60, 5.0)] {
+            arcs.arcs.iter_mut().for_each(|arc| arc.shared_lines = shared_lines);
+            let (mut region, mut contours) = (fitted(&arcs, &rows[..lines], ObjectKind::Sphere), Contours::default());
+            region.model = contours.fit(&region).unwrap();
+            let (sum, used) = (region.model.contour_sum(), contours.last().used() as f64);
+            let told = Outline::of(&region, contours.last()).square;
+            let expected = (sum + 4.0 * shared_lines) / (used + 4.0 * shared_lines);
+            assert!(used > lines as f64 && (told - expected).abs() < 1e-12 && told != 1.0, "{told} {expected}");
+        }
+        let region = fitted(&arcs, &rows, ObjectKind::Sphere);
+        assert_eq!(Outline::of(&region, &Contour::default()).square, 1.0, "nothing is seen of it");
     }
 }
