@@ -161,7 +161,7 @@ mod tests {
     /// From the middle of half of its length and one and a half radii.
     #[test]
     fn an_object_takes_what_its_surface_explains_as_far_as_it_reaches_and_a_little_beyond() {
-        let (radius, low, high) = (0.05, -0.02, 0.12);
+        let (radius, low, high) = (0.05, 0.05, 0.15);
         let arcs = arcs_of(&[cylinder(Vector3::z(), Vector3::y(), radius, 0.7)]);
         let rows = rows_of(&arcs, |_| true);
         let members = rows_of(&arcs, |arc| (low..high).contains(&arc.mean.y));
@@ -180,11 +180,10 @@ mod tests {
         let (mut taken, mut left) = (0, 0);
         for &row in &rows {
             let away = (arcs.arcs[row].mean - Vector3::new(0.0, 0.5 * (low + high), 1.0)).norm();
-            // A line that scatters by chance is not explained.
             match seeds.is_free(row) {
                 false if away < reach + 0.005 => taken += 1,
                 true if away > reach - 0.005 => left += 1,
-                is_free => assert!(is_free && away > 0.08, "{is_free} {away} m from its middle, of {reach} m"),
+                is_free => panic!("{is_free} {away} m from its middle, of {reach} m"),
             }
         }
         assert!(taken > 60 && left > 60, "{taken} {left}");

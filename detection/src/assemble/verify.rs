@@ -340,10 +340,13 @@ mod tests {
         let can = arcs_of(&[cylinder(Vector3::z() * 2.0, Vector3::y(), 0.2, 0.5)]);
         let rows = rows_of(&can, |_| true);
         let region = fitted(&can, &rows, ObjectKind::Cylinder);
-        let (view, angle) = (rows.len() as f64 / KINECT_HALF.fy, measure(&region).angle);
+        let angle = measure(&region).angle;
+        // Twelve lines, so that one more or less would be a twelfth.
+        let band = Region { members: &rows[rows.len() / 2 - 6..][..12], ..region };
+        let view = 12.0 / KINECT_HALF.fy;
         let limit =
             |limits: &mut AssemblerParameters, times: f64| limits.pooled.min_view_deg = times * view.to_degrees();
-        assert_eq!(limited(&region, limit), [None, Some(Rejection::Small)]);
+        assert_eq!(limited(&band, limit), [None, Some(Rejection::Small)]);
         let limit = |limits: &mut AssemblerParameters, times: f64| limits.pooled.min_length_radii = times * 0.5 / 0.2;
         assert_eq!(limited(&region, limit), [None, Some(Rejection::Short)]);
         let limit =
