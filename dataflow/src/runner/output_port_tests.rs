@@ -149,6 +149,21 @@ fn what_was_to_be_sent_is_sent_when_the_reader_comes_that_was_waited_for() {
 }
 
 #[test]
+fn who_waits_for_a_reader_for_a_moment_warns_nobody() {
+    let mut trial = Trial::new(&[("sink", Delivery::Lossless)], 3);
+    let (memory, topic, stop) = (trial.memory.clone(), trial.topic.clone(), trial.stop.clone());
+    thread::scope(|scope| {
+        let _end = AtOnce(stop);
+        let reading = scope.spawn(move || {
+            thread::sleep(Duration::from_millis(50));
+            memory.reader::<Object>(&topic, "sink").unwrap()
+        });
+        assert_eq!(logged(Level::WARN, || trial.send().unwrap()), "");
+        assert_eq!(waiting(&mut reading.join().unwrap()), [3]);
+    });
+}
+
+#[test]
 fn a_reader_has_no_more_unfinished_messages_than_are_kept_for_it() {
     let mut trial = Trial::new(&[("sink", Delivery::Lossless), ("viewer", Delivery::Latest)], 0);
     let [mut reader, _viewer] = ["sink", "viewer"].map(|stage| trial.reader(stage));

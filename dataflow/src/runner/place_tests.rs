@@ -58,7 +58,7 @@ impl Stage for Taking {
 
 /// Passes on what it gets, and counts the items of its side inputs; one that is called `full` has no room, and one that is called
 /// `failing` fails.
-struct Passing {
+pub(super) struct Passing {
     name: String,
 }
 
@@ -144,12 +144,12 @@ impl Source for Making {
     }
 }
 
-fn ball() -> Object {
+pub(super) fn ball() -> Object {
     Object { kind: ObjectKind::Sphere.code(), radius: 0.1, ..Object::default() }
 }
 
 /// The head of the message `number` of a writer that makes the frames itself.
-fn from(writer: &str, number: u64) -> Header {
+pub(super) fn from(writer: &str, number: u64) -> Header {
     let camera = Camera { width: 4, height: 3, fx: 5.0, fy: 5.0, cx: 1.5, cy: 1.0 };
     let mut header = Header { epoch: 1, sequence: number, number, camera, depth_scale: 0.001, ..Header::default() };
     header.add_hop(Hop { stage: Text::new(writer), ..Hop::default() });
@@ -160,7 +160,7 @@ fn end_of(writer: &str, count: u64) -> Header {
     end_of_stream(&from(writer, 0), Text::new(writer), count)
 }
 
-fn topic(name: &str, writers: &[&str], reader: &str, delivery: Delivery) -> Topic {
+pub(super) fn topic(name: &str, writers: &[&str], reader: &str, delivery: Delivery) -> Topic {
     let readers = vec![TopicReader { stage: reader.to_owned(), delivery, queue: 20 }];
     let writers = writers.iter().map(|writer| (*writer).to_owned()).collect();
     Topic { name: name.to_owned(), item: None, writers, readers }
@@ -188,7 +188,7 @@ fn until(mut is_so: impl FnMut() -> bool) -> bool {
 }
 
 /// The run of one stage, whose messages are kept.
-struct Trial {
+pub(super) struct Trial {
     folder: TempDir,
     memory: InMemory,
     stage: String,
@@ -198,13 +198,13 @@ struct Trial {
 }
 
 impl Trial {
-    fn of(stage: &str) -> Self {
+    pub(super) fn of(stage: &str) -> Self {
         let stop = Stop::default();
         let (folder, memory) = (tempfile::tempdir().unwrap(), InMemory::new(stop.clone()).keeping());
         Self { folder, memory, stage: stage.to_owned(), stop, life: |_| None }
     }
 
-    fn input(&self, delivery: Delivery) -> Topic {
+    pub(super) fn input(&self, delivery: Delivery) -> Topic {
         topic("in", &["upstream"], &self.stage, delivery)
     }
 
@@ -213,7 +213,7 @@ impl Trial {
         topic("out", &[&self.stage], "viewer", Delivery::Latest)
     }
 
-    fn runtime(&self, wiring: Wiring) -> StageRuntime<InMemory> {
+    pub(super) fn runtime(&self, wiring: Wiring) -> StageRuntime<InMemory> {
         let (transport, peers, base) = (self.memory.clone(), Peers::modelled(self.life), self.folder.path().to_owned());
         let context = Context { stage: self.stage.clone(), stop: self.stop.clone(), base, ..Context::default() };
         let record = StatusFile::open(&status_path(self.folder.path(), &self.stage), RUN).unwrap();
@@ -242,7 +242,7 @@ impl Trial {
         used(&self.record().counters).find(|(own, _)| *own == name).map_or(0, |(_, count)| count)
     }
 
-    fn writer(&self, topic: &Topic) -> MemoryWriter {
+    pub(super) fn writer(&self, topic: &Topic) -> MemoryWriter {
         self.memory.writer::<Object>(topic).unwrap()
     }
 
@@ -308,7 +308,7 @@ fn send(writer: &mut MemoryWriter, headers: impl IntoIterator<Item = Header>) {
     }
 }
 
-fn send_items(writer: &mut MemoryWriter, header: Header, items: &[Object]) {
+pub(super) fn send_items(writer: &mut MemoryWriter, header: Header, items: &[Object]) {
     writer.loan(items.len()).unwrap().copy_from_slice(items);
     writer.send(&header).unwrap();
 }
@@ -446,6 +446,25 @@ fn a_stage_that_is_to_leave_when_its_input_has_ended_ends_itself() {
 }
 
 #[test]
+fn a_stage_that_is_to_leave_when_the_run_ends_ends_itself() {
+    let trial = Trial::of("stage");
+    let input = trial.input(Delivery::Lossless);
+    let (mut writer, viewer) = (trial.writer(&input), trial.viewer());
+    let wiring = Wiring { input: Some(input), output: Some(trial.output()), ..Wiring::default() };
+    let (mut next, _launcher) = successor(trial.folder.path(), "stage");
+    next.is_ready(&mark(9)).unwrap();
+    trial.stop.leave();
+    let (result, sent) = trial.run(wiring, || {
+        send(&mut writer, [from("upstream", 0)]);
+        assert!(until(|| trial.has_done(1)));
+        trial.stop.request();
+        taken_until_end(viewer)
+    });
+    result.unwrap();
+    assert_eq!((sent, trial.record().life(), trial.handover().last()), (vec![0], Life::Ended, None));
+}
+
+#[test]
 fn a_stage_that_is_asked_to_end_has_had_enough_and_one_that_is_stopped_at_once_tells_no_end() {
     let trial = Trial::of("stage");
     let wiring =
@@ -555,6 +574,23 @@ fn a_successor_whose_predecessor_was_killed_works_on_all_that_was_not_finished()
     });
     result.unwrap();
     assert_eq!((writer.unfinished("stage"), trial.record().inputs[0].received), (0, 4));
+}
+
+#[test]
+fn a_successor_for_which_nothing_is_kept_works_on_what_it_has_heard_where_its_predecessor_was_killed() {
+    let trial = Trial::of("stage");
+    let input = trial.input(Delivery::Latest);
+    let mut writer = trial.writer(&input);
+    let wiring = Wiring { input: Some(input), ..Wiring::default() };
+    let (next, mut launcher) = successor(trial.folder.path(), "stage");
+    let (result, ()) = trial.run_after::<Passing, _>(wiring, Some(next), || {
+        send(&mut writer, [from("upstream", 5)]);
+        assert!(is_ready(&mut launcher, LONG));
+        launcher.write_all(b"t").unwrap();
+        assert!(until(|| trial.has_done(1)));
+        send(&mut writer, [end_of("upstream", 6)]);
+    });
+    result.unwrap();
 }
 
 #[test]

@@ -235,3 +235,30 @@ impl<T: Transport> StagePlace<T> {
         RunError::Unfinished(error)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ports::{Delivery, Wiring, Writer};
+    use crate::runner::place_tests::{Passing, Trial, ball, from, send_items, topic};
+    use crate::stage::Stage;
+    use conicflow_messages::{Nothing, Object};
+
+    #[test]
+    fn where_nothing_has_come_for_long_writers_of_side_inputs_need_not_keep_what_came() {
+        let (trial, side) = (Trial::of("stage"), topic("side", &["side"], "stage", Delivery::Lossless));
+        let (input, mut writer) = (trial.input(Delivery::Lossless), trial.writer(&side));
+        let wiring = Wiring { side_inputs: vec![("partner".to_owned(), side)], ..Wiring::default() };
+        let mut runtime = trial.runtime(wiring);
+        let side_inputs = runtime.side_inputs(Passing::side_inputs()).unwrap();
+        let input_port = open_input(&runtime, &ItemType::of::<Object>(), &input).unwrap();
+        let output_port = runtime.output_port(&ItemType::of::<Nothing>()).unwrap();
+        let mut place = StagePlace::begin(runtime, input, (side_inputs, input_port), output_port).unwrap();
+        send_items(&mut writer, from("side", 0), &[ball()]);
+        assert!(matches!(place.look(Duration::ZERO).unwrap(), Look::Nothing));
+        assert_eq!(writer.unfinished("stage"), 1);
+        place.last_came = Instant::now().checked_sub(PATIENCE_WITH_WRITERS + TICK).unwrap();
+        assert!(matches!(place.look(Duration::ZERO).unwrap(), Look::Nothing));
+        assert_eq!(writer.unfinished("stage"), 0);
+    }
+}
