@@ -118,11 +118,18 @@ impl ThrottledWarning {
 pub(crate) mod tests {
     use super::*;
     use std::io::{Read, Seek};
-    use std::sync::Arc;
-    use tracing::Level;
+    use std::sync::{Arc, LazyLock};
+    use std::thread;
+    use tracing::subscriber::NoSubscriber;
+    use tracing::{Dispatch, Level};
+
+    /// A second one. Where there is one alone, tracing asks at the first event of a place that of the thread which comes there
+    /// first, and thereafter leaves the place out for all threads.
+    static SECOND: LazyLock<Dispatch> = LazyLock::new(|| Dispatch::new(NoSubscriber::new()));
 
     /// What is logged, down to this level, by what is done meanwhile in this thread.
     pub(crate) fn logged(least: Level, act: impl FnOnce()) -> String {
+        LazyLock::force(&SECOND);
         let (mut log, mut text) = (tempfile::tempfile().unwrap(), String::new());
         let writer = Arc::new(log.try_clone().unwrap());
         let subscriber = tracing_subscriber::fmt().with_writer(writer).with_ansi(false).with_max_level(least).finish();
@@ -130,6 +137,16 @@ pub(crate) mod tests {
         log.rewind().unwrap();
         log.read_to_string(&mut text).unwrap();
         text
+    }
+
+    #[test]
+    fn what_another_thread_tells_first_is_logged_of_this_one() {
+        let tell = || tracing::info!("told");
+        let log = logged(Level::INFO, || {
+            thread::spawn(tell).join().unwrap();
+            tell();
+        });
+        assert_eq!(log.matches("told").count(), 1, "{log}");
     }
 
     #[test]

@@ -18,14 +18,20 @@ mod pace;
 pub(crate) mod peers;
 #[cfg(test)]
 mod place_tests;
+#[cfg(test)]
+mod place_trial;
 pub(crate) mod pulled_source;
 pub(crate) mod pulled_stage;
 #[cfg(test)]
 mod pulled_tests;
 pub(crate) mod side_ports;
 pub(crate) mod source_loop;
+#[cfg(test)]
+mod source_tests;
 pub(crate) mod stage_loop;
 mod stage_place;
+#[cfg(test)]
+mod successor_tests;
 mod takeover;
 #[cfg(test)]
 mod tests;

@@ -2,6 +2,7 @@
 
 use super::output_port::{OutputPort, Telling, end_of_stream};
 use super::peers::Peers;
+use super::place_trial::{AtOnce, until};
 use crate::heartbeat::Heartbeat;
 use crate::item_type::ItemType;
 use crate::log::tests::logged;
@@ -61,15 +62,6 @@ impl Trial {
     }
 }
 
-/// Ends at once what a test has begun, also where that fails.
-struct AtOnce(Stop);
-
-impl Drop for AtOnce {
-    fn drop(&mut self) {
-        self.0.force();
-    }
-}
-
 fn header() -> Header {
     let camera = Camera { width: 2, height: 2, fx: 1.0, fy: 1.0, cx: 0.5, cy: 0.5 };
     Header { camera, depth_scale: 0.001, ..Header::default() }
@@ -91,18 +83,6 @@ fn waiting(reader: &mut MemoryReader) -> Vec<u64> {
 fn ends(reader: &mut MemoryReader) -> Vec<(String, u64)> {
     let ends = from_fn(|| reader.receive().unwrap()).filter(|message| message.header().ends_stream());
     ends.map(|end| (end.header().trace()[0].stage.to_string(), end.header().number)).collect()
-}
-
-/// Waits until this is so.
-fn until(mut is_so: impl FnMut() -> bool) -> bool {
-    let deadline = Instant::now() + Duration::from_secs(20);
-    while Instant::now() < deadline {
-        if is_so() {
-            return true;
-        }
-        thread::sleep(Duration::from_millis(1));
-    }
-    false
 }
 
 #[test]

@@ -240,7 +240,7 @@ impl<T: Transport> StagePlace<T> {
 mod tests {
     use super::*;
     use crate::ports::{Delivery, Wiring, Writer};
-    use crate::runner::place_tests::{Passing, Trial, ball, from, send_items, topic};
+    use crate::runner::place_trial::{Passing, Trial, ball, from, send_items, topic};
     use crate::stage::Stage;
     use conicflow_messages::{Nothing, Object};
 

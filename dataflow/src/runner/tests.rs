@@ -203,16 +203,16 @@ fn a_reader_that_was_told_the_end_and_killed_is_waited_for_and_told_again() {
     static IS_OVER: AtomicBool = AtomicBool::new(false);
     let life = |_: &str| Some(if IS_OVER.load(Ordering::Relaxed) { Life::Ended } else { Life::Running });
     let (memory, topic, mut output_port) = ending("sink", Peers::modelled(life));
-    let killed = memory.reader::<Object>(&topic, "sink").unwrap();
-    thread::scope(|scope| {
-        let ending = scope.spawn(move || output_port.end());
-        assert_eq!(until_the_end(killed), 3);
-        thread::sleep(Duration::from_millis(200));
-        assert!(!ending.is_finished(), "the launcher is about to start that stage anew");
-        assert_eq!(until_the_end(memory.reader::<Object>(&topic, "sink").unwrap()), 3);
-        IS_OVER.store(true, Ordering::Relaxed);
-        ending.join().unwrap().unwrap();
-    });
+    let end = [end_of_stream(&header(3), Text::new("stage"), 3)];
+    let mut telling = Telling::until(Instant::now() + Duration::from_secs(3600));
+    for process in ["first", "second"] {
+        let present = memory.reader::<Object>(&topic, "sink").unwrap();
+        assert!(!output_port.tell(&end, &mut telling).unwrap(), "the {process} is there");
+        assert_eq!(until_the_end(present), 3);
+        assert!(!output_port.tell(&end, &mut telling).unwrap(), "the launcher is about to start that stage anew");
+    }
+    IS_OVER.store(true, Ordering::Relaxed);
+    assert!(output_port.tell(&end, &mut telling).unwrap());
 }
 
 #[test]
