@@ -31,6 +31,8 @@ pub enum LinkState {
     Up,
     /// It has fallen silent.
     Down,
+    /// Something comes in its name that is refused, as with another key or another version.
+    Refused,
     /// It was never heard of, but somebody, another machine or a router, is there.
     Never,
     /// Nobody at all is there: none of the machines, nor a router.
@@ -43,6 +45,7 @@ impl std::fmt::Display for LinkState {
         f.write_str(match self {
             Self::Up => "up",
             Self::Down => "down",
+            Self::Refused => "refused",
             Self::Never => "never",
             Self::Unreachable => "unreachable",
         })

@@ -315,6 +315,7 @@ fn run_experiment(
 ) -> anyhow::Result<ExitCode> {
     experiment::check(experiment, pipeline)?;
     let variations = variations(experiment, &arguments.source)?;
+    experiment.check_files(&pipeline.base)?;
     let (rows, mut results) = (Rows::of(pipeline)?, Results::new(experiment));
     let (interrupted, mut finished) = (told_to_end()?, 0);
     for (index, variation) in variations.iter().enumerate() {

@@ -257,6 +257,15 @@ fn a_wrong_experiment_is_refused() {
     ended.expect_told(&["`vary` has the name `n`, as a column has that is measured"]);
 }
 
+#[test]
+fn results_that_cannot_be_written_are_told_before_anything_is_measured() {
+    let playground = playground("accuracy", &[]);
+    fs::write(playground.path("results"), "no folder").unwrap();
+    let ended = playground.conicflow(&["run", "accuracy.toml"]).expect_code(2);
+    ended.expect_told(&["cannot write `", "results/accuracy.csv`: ", "a part of the path before the last is a file"]);
+    assert!(!ended.stderr.contains("run 1 of"), "{}", ended.stderr);
+}
+
 /// To start the evaluation anew would not help.
 #[test]
 fn a_run_of_frames_whose_truth_nobody_told_ends_at_the_first_of_them() {

@@ -1,6 +1,6 @@
 //! What others may send to a bridge: garbage, messages of another version, forged ones, and true ones once more.
 
-use super::bridge::{self, apart, kill, loopback, machines, newest, start, top_link, wait_for_frames};
+use super::bridge::{self, apart, kill, loopback, machines, newest, start, top_link, wait_for_frames, wait_for_link};
 use super::routers::session;
 use super::support::{Playground, Started, signal, wait_until};
 use conicflow_bridge::WIRE_VERSION;
@@ -248,6 +248,7 @@ fn machines_with_different_keys_tell_so_and_with_the_same_key_they_meet() {
         ));
     }
     assert_eq!((newest(&base), top_link(&base)["was_heard"].as_bool()), (0, Some(false)));
+    [&robot, &base].iter().for_each(|machine| wait_for_link(machine, "refused"));
     for run in runs {
         signal(run.id(), Signal::INT);
         run.wait();

@@ -77,6 +77,8 @@ pub(crate) struct Peer {
     /// What it knows to be finished.
     finished: BTreeSet<FinishedEdge>,
     refused: ToldOnce,
+    /// When something was that came in its name.
+    refused_at: Option<Instant>,
     unlike: Vec<Route>,
     missed: bool,
 }
@@ -100,6 +102,8 @@ enum Rivals {
 pub(crate) struct PeerState {
     pub was_heard: bool,
     pub connected: bool,
+    /// Whether what comes in its name is refused.
+    pub refused: bool,
     /// For how long that is so.
     pub time: Duration,
     pub clock: Option<Exchange>,
@@ -399,8 +403,9 @@ impl Links {
             }
             let since = peer.since.or(peer.heard).unwrap_or(self.started);
             let (was_heard, connected) = (peer.heard.is_some(), peer.since.is_some());
+            let refused = is_recent(peer.refused_at, now);
             let (time, clock) = (now.saturating_duration_since(since), peer.clock.best());
-            states.insert(machine.clone(), PeerState { was_heard, connected, time, clock });
+            states.insert(machine.clone(), PeerState { was_heard, connected, refused, time, clock });
         }
         states
     }
@@ -457,7 +462,11 @@ fn takes_messages(peer: &Peer) -> bool {
 }
 
 fn is_connected(peer: &Peer, now: Instant) -> bool {
-    peer.heard.is_some_and(|heard| now.saturating_duration_since(heard) < SILENCE)
+    is_recent(peer.heard, now)
+}
+
+fn is_recent(time: Option<Instant>, now: Instant) -> bool {
+    time.is_some_and(|time| now.saturating_duration_since(time) < SILENCE)
 }
 
 /// Says once that a peer has never been heard of, or does not hear this one, and was not refused either.
@@ -484,6 +493,7 @@ fn miss(machine: &str, peer: &mut Peer) {
 /// Says once why a peer is not listened to.
 fn refuse(machine: &str, peer: &mut Peer, error: &WireError) {
     let reason = error.to_string();
+    peer.refused_at = Some(Instant::now());
     if peer.refused.admits(&reason) {
         tracing::error!("refused machine `{machine}`: {reason}");
     }

@@ -65,11 +65,12 @@ impl<'a> BridgeReporter<'a> {
     }
 
     fn link(&self, machine: &str, peer: &PeerState, reachable: bool) -> LinkReport {
-        let state = match (peer.connected, reachable, peer.was_heard) {
-            (true, _, _) => LinkState::Up,
-            (false, false, _) => LinkState::Unreachable,
-            (false, true, true) => LinkState::Down,
-            (false, true, false) => LinkState::Never,
+        let state = match peer {
+            PeerState { connected: true, .. } => LinkState::Up,
+            PeerState { refused: true, .. } => LinkState::Refused,
+            _ if !reachable => LinkState::Unreachable,
+            PeerState { was_heard: true, .. } => LinkState::Down,
+            _ => LinkState::Never,
         };
         let edges = self.edges.iter().filter(|edge| edge.reaches(machine));
         LinkReport {
@@ -138,13 +139,16 @@ mod tests {
         let links = links(&plan);
         let reporter = reporter(&plan, folder.path(), &links);
         let clock = Some(Exchange { round_trip_ns: 2_500_000, offset_ns: -1_500_000_000 });
-        for (connected, reachable, was_heard, state) in [
-            (true, true, true, LinkState::Up),
-            (false, false, true, LinkState::Unreachable),
-            (false, true, true, LinkState::Down),
-            (false, true, false, LinkState::Never),
+        for ([connected, refused, reachable, was_heard], state) in [
+            ([true, false, true, true], LinkState::Up),
+            ([true, true, true, true], LinkState::Up),
+            ([false, true, true, true], LinkState::Refused),
+            ([false, true, false, false], LinkState::Refused),
+            ([false, false, false, true], LinkState::Unreachable),
+            ([false, false, true, true], LinkState::Down),
+            ([false, false, true, false], LinkState::Never),
         ] {
-            let peer = PeerState { was_heard, connected, time: Duration::from_millis(1500), clock };
+            let peer = PeerState { was_heard, connected, refused, time: Duration::from_millis(1500), clock };
             let link = reporter.link("robot", &peer, reachable);
             assert_eq!((link.state, link.state_s), (state, 1.5));
             assert_eq!((link.round_trip_ms, link.clock_offset_s), (Some(2.5), Some(-1.5)));
@@ -171,7 +175,8 @@ mod tests {
         EdgeCounts::add(&reporter.edges[1].counts.messages, 5);
         reporter.report(true);
         let shown = |machine: &str| {
-            let peer = PeerState { was_heard: true, connected: true, time: Duration::ZERO, clock: None };
+            let peer =
+                PeerState { was_heard: true, connected: true, refused: false, time: Duration::ZERO, clock: None };
             let edges = reporter.link(machine, &peer, true).edges.into_iter();
             edges.map(|edge| format!("{} {}: {}", edge.topic, edge.direction, edge.messages)).collect::<Vec<_>>()
         };

@@ -1,5 +1,6 @@
 //! What a pipeline file says under `[experiment]`, and what follows from it: the combinations of what is varied.
 
+use super::output_file;
 use crate::score::trace::TITLES;
 use crate::score::{Figure, Row};
 use anyhow::{Context as _, Result, bail, ensure};
@@ -187,6 +188,15 @@ impl Experiment {
         Ok(())
     }
 
+    /// Makes sure that the files of the results can be written, before anything is measured.
+    ///
+    /// # Errors
+    /// One cannot.
+    pub fn check_files(&self, base: &Path) -> Result<()> {
+        let files = self.csv.iter().chain(self.plot.as_ref().map(|plot| &plot.path));
+        files.into_iter().try_for_each(|path| output_file::check(base, path))
+    }
+
     /// Refuses columns that no row will have, those that are not `known`.
     ///
     /// # Errors
@@ -286,14 +296,6 @@ impl Reference {
         };
         self.rows.iter().find(goes_with)?.get(index)
     }
-}
-
-/// A path of the pipeline file, whose folder is made where it is missing.
-pub(super) fn prepared(base: &Path, path: &Path) -> Result<PathBuf> {
-    let path = base.join(path);
-    let made = path.parent().map_or(Ok(()), std::fs::create_dir_all);
-    made.with_context(|| format!("cannot make the folder of `{}`", path.display()))?;
-    Ok(path)
 }
 
 #[cfg(test)]

@@ -22,6 +22,7 @@
 
 mod axes;
 mod definition;
+mod output_file;
 mod plot;
 mod results;
 

@@ -2,7 +2,8 @@
 //! of them, the truth as a black line in front, and the paper's figures as open circles.
 
 use super::axes::Axis;
-use super::definition::{Experiment, Plot, prepared};
+use super::definition::{Experiment, Plot};
+use super::output_file;
 use crate::score::{Figure, Row};
 use anyhow::{Context as _, Result};
 use indexmap::{IndexMap, IndexSet};
@@ -61,7 +62,6 @@ enum Style {
 /// A file cannot be read or written.
 pub fn draw(experiment: &Experiment, rows: &[Row], base: &Path) -> Result<()> {
     let Some(plot) = &experiment.plot else { return Ok(()) };
-    let path = prepared(base, &plot.path)?;
     let lines = match &plot.trace {
         Some(trace) => lines(plot, &read_csv(&base.join(trace))?),
         None => {
@@ -72,7 +72,7 @@ pub fn draw(experiment: &Experiment, rows: &[Row], base: &Path) -> Result<()> {
     // What the paper says of it stands behind, and has no room here.
     let title = experiment.title.split(';').next().unwrap_or_default();
     let text = svg(title, plot, &lines).unwrap_or_default();
-    std::fs::write(&path, text).with_context(|| format!("cannot write `{}`", path.display()))
+    output_file::write(base, &plot.path, text)
 }
 
 fn is_drawn(plot: &Plot, row: &Row) -> bool {

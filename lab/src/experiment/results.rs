@@ -1,10 +1,10 @@
 //! The rows of all runs: as a table for people, as CSV, as a plot, and their power laws.
 
-use super::definition::{Experiment, Exponent, Grouping, prepared};
-use super::plot;
+use super::definition::{Experiment, Exponent, Grouping};
+use super::{output_file, plot};
 use crate::quantile::quantile;
 use crate::score::{Figure, Row};
-use anyhow::{Context as _, Result};
+use anyhow::Result;
 use conicflow_geometry::Regression;
 use indexmap::{IndexMap, IndexSet};
 use std::fmt::Write;
@@ -128,7 +128,6 @@ impl<'a> Results<'a> {
     /// All columns of all rows.
     fn write_csv(&self, base: &Path) -> Result<()> {
         let Some(path) = &self.experiment.csv else { return Ok(()) };
-        let path = prepared(base, path)?;
         let columns: IndexSet<&str> =
             self.rows.iter().flat_map(|row| &row.0).map(|(column, _)| column.as_str()).collect();
         let mut lines = csv::Writer::from_writer(Vec::new());
@@ -136,7 +135,7 @@ impl<'a> Results<'a> {
         for row in &self.rows {
             lines.write_record(columns.iter().map(|column| row.get(column).map_or(String::new(), exact)))?;
         }
-        std::fs::write(&path, lines.into_inner()?).with_context(|| format!("cannot write `{}`", path.display()))
+        output_file::write(base, path, lines.into_inner()?)
     }
 }
 

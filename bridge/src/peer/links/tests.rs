@@ -359,6 +359,17 @@ fn a_machine_that_has_not_come_after_a_while_is_missed_unless_it_was_heard_or_re
 }
 
 #[test]
+fn a_machine_is_shown_as_refused_as_long_as_what_comes_in_its_name_is() {
+    let links = robot(1, &secret());
+    let is_refused = || links.look()["base"].refused;
+    assert!(!is_refused());
+    refuse("base", lock(&links.peers).get_mut("base").unwrap(), &WireError::WrongCode);
+    assert!(is_refused());
+    lock(&links.peers).get_mut("base").unwrap().refused_at = Instant::now().checked_sub(SILENCE);
+    assert!(!is_refused());
+}
+
+#[test]
 fn a_machine_whose_messages_are_laid_out_otherwise_is_refused() {
     let secret = secret();
     let (robot, base) = (robot(1, &secret), base(2, &secret));
