@@ -37,8 +37,7 @@ impl Pace {
     /// A pace in this rhythm, of a source that is paused as `pause` says, if it can be.
     pub(crate) fn new(rhythm: Rhythm, stop: Stop, pause: Pause) -> Self {
         let Rhythm { rate_hz, keeps_stamps, can_pause } = rhythm;
-        let has_rate = rate_hz > 0.0 && !keeps_stamps;
-        let period_s = if has_rate { (1.0 / rate_hz).min(LONGEST_PERIOD_S) } else { 0.0 };
+        let period_s = if rate_hz > 0.0 { (1.0 / rate_hz).min(LONGEST_PERIOD_S) } else { 0.0 };
         let pause = if can_pause { pause } else { Pause::default() };
         Self { period: Duration::from_secs_f64(period_s), keeps_stamps, due: None, stamp_ns: None, stop, pause }
     }
