@@ -4,7 +4,7 @@ use super::invocation::say;
 use super::topic::{PipelineName, topics};
 use crate::NODES;
 use crate::recording::files::is_recording;
-use crate::recording::recorder::{Recorded, Recorder};
+use crate::recording::recorder::{Recorded, Recorder, file_at};
 use crate::sinks::mcap_sink;
 use anyhow::{Context as _, Result, bail};
 use clap::Args;
@@ -41,10 +41,6 @@ pub struct RecordArguments {
 /// There is no such pipeline or topic, it cannot be read, or the file cannot be written.
 pub fn record(arguments: &RecordArguments) -> Result<()> {
     give_way();
-    if arguments.out.exists() {
-        let what = format!("`{}` is there already", arguments.out.display());
-        bail!(Hinted::new(what, "record into another file, or remove it"));
-    }
     if !is_recording(&arguments.out) {
         let what = format!("`{}` does not end with `.mcap`, by which a recording is known", arguments.out.display());
         bail!(Hinted::new(what, format!("name it `{}`", arguments.out.with_extension("mcap").display())));
@@ -56,6 +52,17 @@ pub fn record(arguments: &RecordArguments) -> Result<()> {
             bail!("`--{option}` is less than 1");
         }
     }
+    let limits = mcap_sink::Config {
+        split_mb: arguments.split_mb,
+        split_s: arguments.split_s,
+        limit_mb: arguments.limit_mb,
+        ..mcap_sink::Config::default()
+    };
+    let limits = limits.limits();
+    if let Some(earlier) = file_at(&arguments.out, &limits) {
+        let what = format!("`{}` is there already", earlier.display());
+        bail!(Hinted::new(what, "record into another file, or remove it"));
+    }
     let running = arguments.of.find()?;
     let mut recorded = match &arguments.topics[..] {
         // What nothing is told of can only be recorded where it is asked for, and then that is said.
@@ -66,13 +73,7 @@ pub fn record(arguments: &RecordArguments) -> Result<()> {
     let needs = Requirements::of(&running.plan, NODES);
     recorded.iter().try_for_each(|topic| needs.look_for_onlooker(topic))?;
     let watched = recorded.iter().map(|topic| Ok((topic.expect_item()?, *topic))).collect::<Result<Vec<_>>>()?;
-    let limits = mcap_sink::Config {
-        split_mb: arguments.split_mb,
-        split_s: arguments.split_s,
-        limit_mb: arguments.limit_mb,
-        ..mcap_sink::Config::default()
-    };
-    let recorder = Recorder::create(&arguments.out, limits.limits(), false)?;
+    let recorder = Recorder::create(&arguments.out, limits, false)?;
     let names: Vec<_> = recorded.iter().map(|topic| format!("`{}`", topic.name)).collect();
     tracing::info!("records {} into `{}`; Ctrl-C ends it", names.join(", "), arguments.out.display());
     let mut tally = Tally::default();

@@ -60,6 +60,13 @@ pub struct Limits {
     pub total_bytes: Option<u64>,
 }
 
+impl Limits {
+    /// Whether a file may be followed by another.
+    fn has_several_files(&self) -> bool {
+        self.split_bytes.is_some() || self.split_ns.is_some()
+    }
+}
+
 /// What became of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Recorded {
@@ -131,24 +138,29 @@ impl Write for Counted {
 }
 
 impl Recorder {
-    /// A recording at `path`, whose folder is made where it is missing: anew, or beside the files that an earlier process of the
-    /// same run has left there, if `goes_on`.
+    /// A recording at `path`, whose folder is made where it is missing: behind the files that an earlier process of the same run
+    /// has left there, if `goes_on`, or else anew; one that may have several files takes the place of all of an earlier one.
     ///
     /// # Errors
-    /// It cannot be made or written.
+    /// It cannot be made or written, or what was there cannot be removed.
     pub fn create(path: &Path, limits: Limits, goes_on: bool) -> Result<Self> {
-        let next = if goes_on { (0..).find(|number| !numbered(path, *number).exists()).unwrap_or(0) } else { 0 };
+        let earlier = files_at(path, &limits);
+        let before = if goes_on { &earlier[..] } else { &[] };
         let mut files = Files {
             path: path.to_owned(),
             limits,
             open: None,
-            next,
-            complete: (0..next).map(|number| with_length(numbered(path, number))).collect(),
+            next: before.last().map_or(0, |last| last + 1),
+            complete: before.iter().map(|number| with_length(numbered(path, *number))).collect(),
             is_full: false,
             failure: None,
             memory: Vec::new(),
         };
         files.open_next().map_err(|error| told(error, path))?;
+        if !goes_on {
+            let mut further = earlier.iter().filter(|number| **number > 0).map(|number| numbered(path, *number));
+            further.try_for_each(fs::remove_file).map_err(|error| told(error.into(), path))?;
+        }
         let files = Arc::new(Mutex::new(files));
         let flushed = Arc::downgrade(&files);
         thread::Builder::new().name("recorder".to_owned()).spawn(move || keep_flushed(&flushed))?;
@@ -224,6 +236,29 @@ fn numbered(path: &Path, number: u64) -> PathBuf {
     }
     let (prefix, ending) = around_number(path);
     path.with_file_name(format!("{prefix}{number}{ending}"))
+}
+
+/// The numbers of the files that are there of a recording at `path`, in their order.
+fn files_at(path: &Path, limits: &Limits) -> Vec<u64> {
+    let mut numbers = Vec::from_iter(path.exists().then_some(0));
+    if limits.has_several_files() {
+        let (prefix, ending) = around_number(path);
+        let folder = path.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
+        let names = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.file_name());
+        let number_of = |name: &str| name.strip_prefix(&prefix)?.strip_suffix(&ending)?.parse::<u64>().ok();
+        numbers.extend(names.filter_map(|name| {
+            let number = number_of(name.to_str()?)?;
+            // Others may have names that are nearly so, such as `run_01.mcap`.
+            (number > 0 && numbered(path, number).file_name() == Some(&name)).then_some(number)
+        }));
+        numbers.sort_unstable();
+    }
+    numbers
+}
+
+/// A file that is there of a recording which has its first one at `path`.
+pub fn file_at(path: &Path, limits: &Limits) -> Option<PathBuf> {
+    files_at(path, limits).first().map(|number| numbered(path, *number))
 }
 
 /// What stands before and behind the number of a file: `run_` and `.mcap`.

@@ -5,11 +5,11 @@ use super::replay::Replayed;
 use super::*;
 use crate::recording::files::Files;
 use crate::recording::own;
-use crate::recording::recorder::{Limits, Recorded, Recorder};
+use crate::recording::recorder::{Limits, Recorded, Recorder, file_at};
 use conicflow_dataflow::{AnyMessage, BUILT_IN};
 use conicflow_messages::Object;
 use mcap::records::MessageHeader;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::time::{Duration, Instant};
 
@@ -105,6 +105,39 @@ fn recordings_are_split_and_kept_to_a_limit() {
     let full = Limits { total_bytes: Some(1), ..Limits::default() };
     assert_eq!(record(&path, full, 0.001, 0..2), Recorded::Full);
     assert_eq!(names(), ["run.mcap"]);
+}
+
+#[test]
+fn a_new_recording_of_several_files_takes_the_place_of_an_earlier_one_and_a_restart_goes_on_behind_it() {
+    let place = tempfile::tempdir().unwrap();
+    let path = place.path().join("run.mcap");
+    let names = || {
+        let entries = fs::read_dir(place.path()).unwrap();
+        let names: BTreeSet<_> = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+        names
+    };
+    let split = Limits { split_ns: Some(1_000_000_000), ..Limits::default() };
+    let others = ["run_x.mcap", "run_01.mcap", "runs_1.mcap", "run_2.txt", "run_3"];
+    let of = |own: &[&str]| BTreeSet::from_iter(others.iter().chain(own).map(|name| (*name).to_owned()));
+    assert_eq!(file_at(&path, &split), None);
+    for name in others.iter().chain(&["run_7.mcap", "run_12.mcap"]) {
+        fs::write(place.path().join(name), "earlier").unwrap();
+    }
+    assert_eq!(file_at(&path, &split), Some(place.path().join("run_7.mcap")));
+    assert_eq!(file_at(&path, &Limits::default()), None, "it has one file");
+    drop(Recorder::create(&path, split, true).unwrap());
+    assert_eq!(names(), of(&["run_7.mcap", "run_12.mcap"]), "nothing came of it");
+    let recorder = Recorder::create(&path, split, true).unwrap();
+    assert!(place.path().join("run_13.mcap").is_file());
+    recorder.finish().unwrap();
+    record(&path, Limits::default(), 0.001, 0..2);
+    assert_eq!(names(), of(&["run.mcap", "run_7.mcap", "run_12.mcap", "run_13.mcap"]), "they may be another's");
+    record(&path, split, 0.001, 0..2);
+    assert_eq!(names(), of(&["run.mcap"]));
+    let wrong = place.path().join("run_5.mcap");
+    fs::create_dir(&wrong).unwrap();
+    let told = Recorder::create(&path, split, false).map(drop).unwrap_err().to_string();
+    assert!(told.starts_with(&format!("cannot write the recording `{}`: ", path.display())), "{told}");
 }
 
 #[test]
