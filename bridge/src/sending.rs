@@ -163,12 +163,19 @@ impl<'a> Sending<'a> {
     /// again.
     fn forward_next(&mut self) -> Result<bool, BridgeError> {
         let taken = self.input_port.take()?;
+        let is_lossless = self.edge.topic.delivery_to(BRIDGE) == Delivery::Lossless;
+        let counts = self.input_port.counts();
         // What makes no sense is left out there, and told.
-        self.counts.refused.store(self.input_port.counts().malformed, Ordering::Relaxed);
+        self.counts.refused.store(counts.malformed, Ordering::Relaxed);
+        self.counts.overtaken.store(if is_lossless { 0 } else { counts.dropped }, Ordering::Relaxed);
         let Some(message) = taken else { return Ok(false) };
         let header = *message.header();
         let writer = header.trace().last().map(|hop| hop.stage.to_string()).unwrap_or_default();
-        if !self.is_wanted() || !self.edge.writers.contains(&writer) {
+        if !self.edge.writers.contains(&writer) {
+            return Ok(true);
+        }
+        if !self.is_wanted() {
+            EdgeCounts::add(&self.counts.unwanted, u64::from(!is_lossless));
             return Ok(true);
         }
         let encoded = self.encoder.message(self.queue.place(), &header, message.bytes());

@@ -423,6 +423,16 @@ pub fn wait_for_link(machine: &Playground, state: &str) {
 }
 
 #[test]
+fn what_is_made_while_nobody_is_there_who_wants_it_is_counted() {
+    let [robot, _base] = live_machines();
+    let mut run = start(&robot, "robot");
+    run.wait_until("ellipses are made", || robot.top()["stages"][1]["messages"].as_u64() > Some(20));
+    let ended = run.end();
+    let (made, row) = (ended.stage("extractor").messages, ended.input("ellipses", "bridge"));
+    assert!(row.received == 0 && (20..=made).contains(&row.dropped), "{}", ended.stderr);
+}
+
+#[test]
 fn top_shows_each_link() {
     let machines = live_machines();
     let [robot, base] = &machines;

@@ -15,6 +15,10 @@ pub(crate) struct EdgeCounts {
     pub lost: AtomicU64,
     pub resent: AtomicU64,
     pub stale: AtomicU64,
+    /// Not sent, where the newest wins: newer ones came before they could be, ...
+    pub overtaken: AtomicU64,
+    /// ... or nobody was there who wanted them.
+    pub unwanted: AtomicU64,
     /// Left out, because they make no sense, by what encodes or decodes them.
     pub malformed: AtomicU64,
     /// And where they come out of shared memory.

@@ -95,8 +95,10 @@ impl<'a> BridgeReporter<'a> {
         status.sent_bytes = count(false, |counts| &counts.memory_bytes);
         let outgoing = self.edges.iter().filter(|edge| edge.outgoing);
         for (slot, handle) in status.inputs.iter_mut().zip(outgoing) {
-            let received = handle.counts.messages.load(Ordering::Relaxed);
-            *slot = InputCounts { topic: Text::new(&handle.edge.topic.name), received, ..InputCounts::default() };
+            let EdgeCounts { messages, overtaken, unwanted, .. } = &*handle.counts;
+            let [received, overtaken, unwanted] = [messages, overtaken, unwanted].map(|it| it.load(Ordering::Relaxed));
+            let (topic, dropped) = (Text::new(&handle.edge.topic.name), overtaken.saturating_add(unwanted));
+            *slot = InputCounts { topic, received, dropped, ..InputCounts::default() };
         }
         self.record.write();
     }
@@ -191,10 +193,13 @@ mod tests {
         let mut reporter = reporter(&plan, folder.path(), &links);
         EdgeCounts::add(&reporter.edges[0].counts.messages, 3);
         EdgeCounts::add(&reporter.edges[1].counts.messages, 5);
+        EdgeCounts::add(&reporter.edges[0].counts.overtaken, 20);
+        EdgeCounts::add(&reporter.edges[0].counts.unwanted, 100);
         reporter.report(true);
         let status = &reporter.record.status;
         assert_eq!((status.steps, status.sent), (8, 5));
-        let inputs: Vec<_> = status.used_inputs().map(|input| (input.topic.to_string(), input.received)).collect();
-        assert_eq!(inputs, [("objects".to_owned(), 3)]);
+        let inputs: Vec<_> =
+            status.used_inputs().map(|input| (input.topic.to_string(), input.received, input.dropped)).collect();
+        assert_eq!(inputs, [("objects".to_owned(), 3, 120)]);
     }
 }
