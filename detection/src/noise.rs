@@ -77,16 +77,16 @@ impl FromStr for NoiseName {
 #[serde(default, deny_unknown_fields)]
 pub struct NoiseCoefficients {
     /// Noise at the knee, in metres.
-    #[schemars(range(min = 0.0))]
+    #[schemars(range(min = 0.0, max = 1000.0))]
     pub floor_m: f64,
     /// Growth with the squared distance from the knee, in 1/metre.
-    #[schemars(range(min = 0.0))]
+    #[schemars(range(min = 0.0, max = 1000.0))]
     pub growth_per_m: f64,
     /// Depth of least noise, in metres.
-    #[schemars(range(min = 0.0))]
+    #[schemars(range(min = 0.0, max = 1000.0))]
     pub knee_m: f64,
     /// Depth between two neighbouring disparities, divided by the squared depth, in 1/metre.
-    #[schemars(range(min = 0.0))]
+    #[schemars(range(min = 0.0, max = 1000.0))]
     pub step_per_m: f64,
 }
 

@@ -13,7 +13,7 @@ use conicflow_dataflow::{AnyMessage, FileUse, ItemType};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::{NoiseConfig, NoiseName};
 use conicflow_detection::{Detector, Object, ObjectKind};
-use conicflow_messages::{Header, Hinted, Message};
+use conicflow_messages::{Header, Hinted, Message, is_special};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -21,6 +21,8 @@ use std::time::Instant;
 
 /// What the lines consist of.
 const OBJECTS: ItemType = ItemType::shown::<Object>();
+/// Poses are looked for beside the frames.
+const AUTO: &str = "auto";
 /// Reasons that are told where nothing was found.
 const REASONS: usize = 5;
 
@@ -38,7 +40,7 @@ pub struct DetectArguments {
     #[arg(long, value_name = "M")]
     scale: Option<f64>,
     /// Where the camera was: `auto` (7-Scenes, TUM or Open3D poses beside the frames), `none`, or a path
-    #[arg(long, value_name = "PATH", default_value = "auto")]
+    #[arg(long, value_name = "PATH", default_value = AUTO)]
     poses: String,
     /// The topic of a recording [default: the only one with depth images]
     #[arg(long, value_name = "TOPIC")]
@@ -103,12 +105,7 @@ fn intrinsics(text: &str) -> Result<Intrinsics, String> {
 /// # Errors
 /// There are no frames, their camera is not known, or something cannot be written.
 pub fn detect(arguments: &DetectArguments) -> Result<()> {
-    if !arguments.path.exists() {
-        bail!(Hinted::new(
-            format!("`{}` does not exist", arguments.path.display()),
-            "name a depth image, a folder of them, or a recording"
-        ));
-    }
+    refuse_unfit(arguments)?;
     arguments.moving.as_deref().map_or(Ok(()), picture_sink::check_moving)?;
     refuse_to_overwrite(arguments)?;
     let mut frames = Frames::open(arguments)?;
@@ -139,6 +136,27 @@ pub fn detect(arguments: &DetectArguments) -> Result<()> {
     pictures.as_mut().map_or(Ok(()), PictureSink::end).context("pictures")?;
     say(totals.text(&frames.take_counts()));
     frames.finish()
+}
+
+/// Refuses a path that leads to no frames, and options that have no effect on those to which it leads.
+fn refuse_unfit(arguments: &DetectArguments) -> Result<()> {
+    let path = &arguments.path;
+    if !path.exists() || is_special(path) {
+        let fault = if path.exists() { "is neither a file nor a folder" } else { "does not exist" };
+        bail!(Hinted::new(
+            format!("`{}` {fault}", path.display()),
+            "name a depth image, a folder of them, or a recording"
+        ));
+    }
+    match looks_like_recording(path) {
+        true if arguments.poses != AUTO => {
+            bail!(Hinted::new("`--poses` is for images: a recording brings its own", "leave it out"))
+        }
+        false if arguments.topic.is_some() => {
+            bail!(Hinted::new("`--topic` is for recordings: images have none", "leave it out"))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Refuses to write what is read, and one file in two ways, before anything is made or opened.

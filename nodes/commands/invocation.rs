@@ -5,13 +5,15 @@ use anyhow::{Context, anyhow, bail};
 use clap::Args;
 use conicflow_dataflow::RunOptions;
 use conicflow_dataflow::pipeline::{Pipeline, Report, SourceText};
-use conicflow_messages::Hinted;
+use conicflow_messages::{Hinted, read_text};
 use std::fmt::Display;
 use std::io::{ErrorKind, Write, stderr};
 use std::path::{Path, PathBuf};
 
 const BUILT_IN: &str = include_str!("../../pipeline.toml");
 const DEFAULT_FILE: &str = "pipeline.toml";
+/// No pipeline file is longer.
+const MOST_BYTES: u64 = 1 << 24;
 
 #[derive(Args, Default)]
 pub struct FileArguments {
@@ -53,7 +55,7 @@ impl FileArguments {
             let source = SourceText { name: "built-in pipeline".to_owned(), text: BUILT_IN.to_owned() };
             return Ok((source, std::env::current_dir()?));
         };
-        let text = std::fs::read_to_string(file).map_err(|error| {
+        let text = read_text(file, MOST_BYTES).map_err(|error| {
             let hint = match error.kind() {
                 // A folder, or a recording.
                 ErrorKind::IsADirectory | ErrorKind::InvalidData => {

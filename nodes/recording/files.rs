@@ -9,7 +9,7 @@ use super::sequential::{Reader, Sequential};
 use super::summary::{MAX_RECORD_BYTES, summary};
 use anyhow::{Context as _, Error, Result, bail};
 use conicflow_dataflow::Stop;
-use conicflow_messages::Hinted;
+use conicflow_messages::{Hinted, is_special};
 use mcap::{Channel, McapError, Message, Summary};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
@@ -55,6 +55,7 @@ impl Files {
     /// There are none, or they are of another format.
     pub fn find(path: &Path) -> Result<Self> {
         if !path.is_dir() {
+            refuse_special(path)?;
             refuse_other_formats(path)?;
             return Ok(Self { files: vec![with_length(path.to_owned())], stop: Stop::default() });
         }
@@ -69,6 +70,7 @@ impl Files {
                 "name a file, or a folder that `ros2 bag record -s mcap` wrote"
             ));
         }
+        recordings.iter().try_for_each(|path| refuse_special(path))?;
         Ok(Self { files: recordings.into_iter().map(with_length).collect(), stop: Stop::default() })
     }
 
@@ -185,6 +187,14 @@ pub fn is_recording(path: &Path) -> bool {
 pub fn looks_like_recording(path: &Path) -> bool {
     let is_one = |path: &Path| is_recording(path) || refuse_other_formats(path).is_err();
     is_one(path) || fs::read_dir(path).is_ok_and(|entries| entries.flatten().any(|entry| is_one(&entry.path())))
+}
+
+/// Refuses a device or a pipe, whose end may never come.
+fn refuse_special(path: &Path) -> Result<()> {
+    if is_special(path) {
+        bail!(Hinted::new(format!("`{}` is no file", path.display()), "a recording is a file, or a folder of files"));
+    }
+    Ok(())
 }
 
 /// The command that makes an MCAP file of what is none.

@@ -2,6 +2,7 @@
 
 use crate::support::{Playground, RECORDING, read_png};
 use conicflow_lab::simulator::scene::Scene;
+use rustix::fs::{CWD, Mode, mkfifoat};
 use serde_json::Value as Json;
 use std::fs;
 
@@ -120,8 +121,18 @@ fn a_frame_that_shows_nothing_has_a_line_and_why() {
 fn what_cannot_be_detected_in_is_an_error_with_a_hint() {
     let playground = Playground::new();
     playground.record(Scene::built_in("tabletop").unwrap().unwrap(), 5, 1);
+    for name in ["pipe.png", "pipe.mcap"] {
+        mkfifoat(CWD, playground.path(name), Mode::RUSR | Mode::WUSR).unwrap();
+    }
+    fs::write(playground.path("run.mcap"), "").unwrap();
     for (arguments, what) in [
         (&["detect", "nowhere"][..], "nowhere"),
+        (&["detect", "pipe.png"], "`pipe.png` is neither a file nor a folder"),
+        (&["detect", "pipe.mcap"], "`pipe.mcap` is neither a file nor a folder"),
+        (&["view", "pipe.mcap"], "`pipe.mcap` is no file"),
+        (&["validate", "/dev/zero"], "cannot read the pipeline file `/dev/zero`: it is longer than 16777216 bytes"),
+        (&["detect", "run.mcap", "--poses", "none"], "`--poses` is for images"),
+        (&["detect", "frames", "--topic", "depth"], "`--topic` is for recordings"),
         (&["detect", "frames"], "intrinsics"),
         (&["detect", "frames", "--camera", "525,525,319.5"], "expected four numbers"),
         (&["detect", "frames", "--camera", "0,525,319.5,239.5"], "focal lengths are 1 to 1,000,000 pixels"),
@@ -130,6 +141,6 @@ fn what_cannot_be_detected_in_is_an_error_with_a_hint() {
     ] {
         let ended = playground.conicflow(arguments);
         assert!(ended.stderr.contains(what), "{arguments:?}: {}", ended.stderr);
-        assert_eq!((ended.code, ended.stdout.as_str()), (Some(2), ""), "{arguments:?}");
+        assert_eq!((ended.code, ended.stdout.as_str()), (Some(2), ""), "{arguments:?}: {}", ended.stderr);
     }
 }

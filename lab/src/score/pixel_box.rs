@@ -1,17 +1,25 @@
 //! Boxes in the image of a recorded frame that someone drew by hand, about what was not measured.
 
 use anyhow::{Result, bail};
-use conicflow_messages::{Camera, Hinted};
-use serde::Deserialize;
+use conicflow_messages::{Camera, Hinted, plain};
+use serde::{Deserialize, Deserializer};
 
 /// A box as it stands in a truth file.
 #[derive(Clone, Debug, Deserialize)]
 pub struct BoxEntry {
-    #[serde(default)]
+    #[serde(default, deserialize_with = "one_line")]
     what: String,
     /// Pixels: left, top, right, bottom.
     #[serde(rename = "box")]
     corners: Option<[f64; 4]>,
+}
+
+/// A text from outside that is shown as a part of a line.
+///
+/// # Errors
+/// It is no text.
+pub fn one_line<'de, D: Deserializer<'de>>(read: D) -> Result<String, D::Error> {
+    Ok(plain(&String::deserialize(read)?.replace('\n', "\\n")))
 }
 
 /// A box about something.

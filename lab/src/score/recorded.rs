@@ -32,10 +32,10 @@
 //! is neither right nor wrong. What is not wanted tempts a detector: an answer there is wrong, as is one in no box at all, and
 //! the report says on what it sits. A place in boxes of both sorts is what is round: handles stand before cartons.
 
-use super::pixel_box::{BoxEntry, PixelBox};
+use super::pixel_box::{BoxEntry, PixelBox, one_line};
 use super::truth::{Tolerance, TrueObject, only};
 use anyhow::{Context as _, Result, bail};
-use conicflow_messages::{Camera, Hinted, Object, ObjectKind};
+use conicflow_messages::{Camera, Hinted, Object, ObjectKind, read_text};
 use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -82,6 +82,9 @@ impl RecordedTolerances {
     }
 }
 
+/// No truth is longer.
+const MOST_BYTES: u64 = 1 << 28; // [algorithmic]
+
 /// Tolerance of what only has to be seen.
 fn of_poor(body: &Object) -> Tolerance {
     let radius_m = [0.5 * body.radius, 1.5 * body.radius];
@@ -118,7 +121,7 @@ struct RadiusNote {
 struct Entry {
     #[serde(rename = "type")]
     kind: String,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "one_line")]
     what: String,
     quality: Option<Quality>,
     radius_m: f64,
@@ -173,7 +176,7 @@ impl RecordedTruth {
     /// The file cannot be read, or what is wrong with it at which line and column.
     pub fn load(path: &Path, tolerances: &RecordedTolerances) -> Result<Self> {
         let place = || format!("truth file `{}`", path.display());
-        let text = std::fs::read_to_string(path).with_context(place)?;
+        let text = read_text(path, MOST_BYTES).with_context(place)?;
         let truth = Self::parse(&text, tolerances).with_context(place)?;
         Ok(Self { origin: path.display().to_string(), ..truth })
     }
@@ -197,8 +200,8 @@ impl RecordedTruth {
         }
         let range_mm = file.radius.and_then(|radius| radius.accept_range_mm);
         for frame in file.frames.iter().flatten() {
-            let ball = frame.sphere.as_ref().map(|ball| vec![ball.truth(range_mm, tolerances)]);
-            truth.insert(&frame.file, ball)?;
+            let ball = frame.sphere.as_ref().map(|ball| ball.truth(range_mm, tolerances)).transpose()?;
+            truth.insert(&frame.file, ball.map(|ball| vec![ball]))?;
         }
         if truth.by_frame.is_empty() && truth.everywhere.is_none() {
             bail!(Hinted::new("it has none of `scenes`, `objects` and `frames`", "say what is in the frames"));
@@ -276,6 +279,13 @@ fn what_at<'a>(
     boxes.iter().find(|known| known.shows(camera, &answer.center)).map(|known| known.what.as_str())
 }
 
+fn check_radius(radius: f64, what: &str) -> Result<()> {
+    if radius > 0.0 && radius.is_finite() {
+        return Ok(());
+    }
+    bail!(Hinted::new(format!("the radius of `{what}` is {radius}"), "a radius is more than 0"))
+}
+
 /// The last part of a path, with `/` as separator on every system.
 fn file_name(path: &str) -> &str {
     path.rsplit('/').next().unwrap_or(path)
@@ -284,6 +294,7 @@ fn file_name(path: &str) -> &str {
 impl Entry {
     fn truth(&self, tolerances: &RecordedTolerances) -> Result<TrueObject> {
         let radius = self.radius_m;
+        check_radius(radius, &self.what)?;
         let body = match (self.kind.as_str(), self.axis_point_m, self.axis_dir, self.centre_m) {
             ("cylinder", Some(point), Some(axis), _) => self.cylinder(point, axis)?,
             ("cone" | "cone_frustum", Some(point), Some(axis), _) => self.cone(point, axis)?,
@@ -359,13 +370,14 @@ fn sphere(center: [f64; 3], radius: f64) -> Object {
 }
 
 impl BallEntry {
-    fn truth(&self, range_mm: Option<[f64; 2]>, tolerances: &RecordedTolerances) -> TrueObject {
+    fn truth(&self, range_mm: Option<[f64; 2]>, tolerances: &RecordedTolerances) -> Result<TrueObject> {
+        check_radius(self.radius_mm, "ball")?;
         let body = sphere(self.centre_mm.map(|coordinate| 1e-3 * coordinate), 1e-3 * self.radius_mm);
         let mut tolerance = tolerances.of(&body);
         if let Some(range_mm) = range_mm {
             tolerance.radius_m = range_mm.map(|limit| 1e-3 * limit);
         }
-        TrueObject { name: "ball".into(), body, hidden: 0.0, required: true, tolerance }
+        Ok(TrueObject { name: "ball".into(), body, hidden: 0.0, required: true, tolerance })
     }
 }
 
@@ -382,12 +394,13 @@ mod tests {
     fn scenes_are_found_by_the_name_of_their_file() {
         let truth = parse(
             r#"{"units": "m", "how": "by hand", "scenes": {"a.pcd": [
-                {"type": "cylinder", "what": "tin", "radius_m": 0.05, "axis_point_m": [0, 0, 1], "axis_dir": [0, 2, 0]},
+                {"type": "cylinder", "what": "tin\u001b[31m\n  a", "radius_m": 0.05, "axis_point_m": [0, 0, 1],
+                    "axis_dir": [0, 2, 0]},
                 {"type": "sphere_like", "radius_m": 0.08, "centre_m": [0.1, 0, 1]}], "b.pcd": [], "clouds/d.pcd": []}}"#,
         )
         .unwrap();
         let [tin, bowl] = truth.objects("a.pcd").unwrap() else { panic!() };
-        assert_eq!((tin.name.as_str(), tin.body.axis, tin.required), ("tin", [0.0, 1.0, 0.0], true));
+        assert_eq!((tin.name.as_str(), tin.body.axis, tin.required), ("tin\\u{1b}[31m\\n  a", [0.0, 1.0, 0.0], true));
         assert!((tin.tolerance.radius_m[1] - 0.054).abs() < 1e-12);
         assert_eq!((bowl.body.shape(), bowl.required), (ObjectKind::Sphere, false));
         assert_eq!(truth.objects("b.pcd").map(<[TrueObject]>::len), Some(0));
@@ -572,6 +585,14 @@ mod tests {
             (r#"{"units": "mm", "objects": []}"#, "`units`"),
             (r#"{"units": "m", "objects": [{"type": "torus", "what": "ring", "radius_m": 1}]}"#, "`torus`"),
             (r#"{"units": "m", "objects": [{"type": "cylinder"}]}"#, "radius_m"),
+            (
+                r#"{"units": "m", "objects": [{"type": "sphere", "what": "orb", "radius_m": -1, "centre_m": [0, 0, 1]}]}"#,
+                "the radius of `orb` is -1\n  hint: ",
+            ),
+            (
+                r#"{"units": "mm", "frames": [{"file": "a", "sphere": {"centre_mm": [0, 0, 1], "radius_mm": 0}}]}"#,
+                "the radius of `ball` is 0",
+            ),
             (r#"{"units": "m", "objects": [{"type": "sphere", "radius_m": 1, "quality": "pour"}]}"#, "`pour`"),
             (r#"{"units": "m", "scenes": {"a/0.pcd": [], "b/0.pcd": []}}"#, "two entries for `0.pcd`"),
             (

@@ -1,20 +1,51 @@
 //! Files of pictures that nobody sees half written.
 
 use anyhow::Result;
-use conicflow_messages::Hinted;
-use std::fs;
+use conicflow_messages::{Hinted, is_special};
 use std::path::Path;
+use std::{fs, io};
 
-/// Writes a file that has its name only when it is whole, into a folder that is made where it is missing.
+/// Writes a file that has its name only when it is whole, into a folder that is made where it is missing. A link stays one, and
+/// a device is written into.
 ///
 /// # Errors
 /// It cannot be written.
 pub(super) fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
-    let part = path.with_extension("part");
+    let path = &path.canonicalize().unwrap_or_else(|_| path.to_owned());
     let folder = path.parent().map_or(Ok(()), fs::create_dir_all);
-    folder.and_then(|()| fs::write(&part, bytes)).and_then(|()| fs::rename(&part, path)).map_err(|error| {
+    let written = folder.and_then(|()| if is_special(path) { fs::write(path, bytes) } else { replace(path, bytes) });
+    written
+        .map_err(|error| Hinted::of_writing(format!("`{}` cannot be written: {error}", path.display()), &error).into())
+}
+
+fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let part = path.with_extension("part");
+    let replaced = fs::write(&part, bytes).and_then(|()| fs::rename(&part, path));
+    if replaced.is_err() {
         // What cannot be removed either is left as a part.
         fs::remove_file(&part).ok();
-        Hinted::of_writing(format!("`{}` cannot be written: {error}", path.display()), &error).into()
-    })
+    }
+    replaced
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::os::unix::fs::symlink;
+
+    #[test]
+    fn a_file_is_replaced_and_a_link_or_a_device_is_written_into() {
+        let folder = tempfile::tempdir().unwrap();
+        let [file, link, device] = ["new/a.png", "link.png", "device.png"].map(|name| folder.path().join(name));
+        symlink(&file, &link).unwrap();
+        symlink("/dev/null", &device).unwrap();
+        write_whole(&file, b"1").unwrap();
+        write_whole(&link, b"2").unwrap();
+        write_whole(&device, b"3").unwrap();
+        assert_eq!(fs::read(&file).unwrap(), b"2");
+        assert!(link.is_symlink() && is_special(&device));
+        let folder = file.parent().unwrap();
+        assert!(write_whole(folder, b"4").unwrap_err().to_string().contains("cannot be written"));
+        assert_eq!(fs::read_dir(folder).unwrap().count(), 1, "no part is left");
+    }
 }

@@ -24,6 +24,11 @@ impl Content {
         if (info.bit_depth, info.color_type) != (BitDepth::Sixteen, ColorType::Grayscale) {
             return Ok(Self::Picture(info.bit_depth, info.color_type));
         }
+        let frames = info.animation_control().map_or(1, |animation| animation.num_frames);
+        ensure!(
+            frames <= 1,
+            Hinted::new(format!("it has {frames} frames, of which one would be read"), "write a file for each frame")
+        );
         let (width, height) = info.size();
         let pixels = u64::from(width) * u64::from(height);
         ensure!(pixels <= MAX_PIXELS, "{width}x{height} pixels, which is more than the {MAX_PIXELS} that are read");
@@ -104,6 +109,7 @@ fn open<R: BufRead + Seek>(read: R) -> Result<Reader<R>> {
 mod tests {
     use super::*;
     use crate::sources::image_source::fixtures::{png_bytes, png16};
+    use png::Encoder;
 
     #[test]
     fn pixels_come_back_in_native_order() {
@@ -125,6 +131,20 @@ mod tests {
         assert!(told(&good[..good.len() - 20], (4, 3)).starts_with("the pixels of the PNG: "));
         assert!(told(&good[..20], (4, 3)).starts_with("the header of the PNG: "));
         assert!(told(b"no PNG at all", (4, 3)).starts_with("the header of the PNG: "));
+    }
+
+    #[test]
+    fn what_has_several_frames_is_refused() {
+        let mut file = Vec::new();
+        let mut encoder = Encoder::new(&mut file, 4, 3);
+        encoder.set_color(ColorType::Grayscale);
+        encoder.set_depth(BitDepth::Sixteen);
+        encoder.set_animated(2, 0).unwrap();
+        let mut writer = encoder.write_header().unwrap();
+        [(); 2].map(|()| writer.write_image_data(&[7; 24]).unwrap());
+        writer.finish().unwrap();
+        let told = format!("{:#}", decode(&file, (4, 3), &mut [0; 12]).unwrap_err());
+        assert_eq!(told, "it has 2 frames, of which one would be read\n  hint: write a file for each frame");
     }
 
     #[test]

@@ -4,12 +4,10 @@ use super::faulty::hinted;
 use crate::sources::WrittenIn;
 use anyhow::{Context as _, Result, anyhow, bail, ensure};
 use conicflow_detection::camera::Intrinsics;
-use conicflow_messages::{DEPTH_SCALES_M, Hinted};
+use conicflow_messages::{DEPTH_SCALES_M, Hinted, read_text};
 use serde::Deserialize;
 use serde_json::Value as Json;
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 /// The files that are looked for, in the folder of the frames and in the one above.
@@ -52,7 +50,7 @@ impl CameraFile {
             let other = self.path.with_file_name(name);
             let is_as_large = |other: &Self| other.size.zip(self.size).is_none_or(|(other, own)| other == own);
             let agrees = |other: Self| other.intrinsics == self.intrinsics && is_as_large(&other);
-            other.is_file() && !Self::read(&other).is_ok_and(agrees)
+            other.symlink_metadata().is_ok() && !Self::read(&other).is_ok_and(agrees)
         };
         NAMES.into_iter().find(is_another)
     }
@@ -61,14 +59,13 @@ impl CameraFile {
     pub(super) fn path_beside(folder: &Path) -> Option<PathBuf> {
         let folders = [Some(folder), folder.parent()];
         let mut candidates = folders.into_iter().flatten().flat_map(|folder| NAMES.map(|name| folder.join(name)));
-        candidates.find(|path| path.is_file())
+        // One that cannot be read is found, too: another one may be of another camera.
+        candidates.find(|path| path.symlink_metadata().is_ok())
     }
 
     fn read(path: &Path) -> Result<Self> {
-        let mut text = String::new();
-        File::open(path)?.take(MAX_JSON_BYTES + 1).read_to_string(&mut text)?;
-        ensure!(text.len() as u64 <= MAX_JSON_BYTES, "it is longer than {MAX_JSON_BYTES} bytes, and no camera's");
-        let json: CameraJson = serde_json::from_str(&text)?;
+        ensure!(path.is_file(), "it is no file, or a link to nothing");
+        let json: CameraJson = serde_json::from_str(&read_text(path, MAX_JSON_BYTES)?)?;
         json.check_others()?;
         let intrinsics = json.intrinsics()?;
         ensure!(
@@ -123,7 +120,7 @@ struct CameraJson {
 /// The keys that are read.
 const KEYS: [&str; 8] = ["width", "height", "fx", "fy", "cx", "cy", "depth_scale", "intrinsic_matrix"];
 /// Keys that stand for a lens's distortion in what others write, beside those that say so.
-const DISTORTION: [&str; 3] = ["d", "coeffs", "dist"];
+const DISTORTION: [&str; 12] = ["d", "coeffs", "dist", "distcoeffs", "k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"];
 
 impl CameraJson {
     /// Refuses what would change the camera, were it read: a key that is written in another way, and the distortion of a lens.
@@ -132,7 +129,7 @@ impl CameraJson {
         for (key, value) in &self.others {
             let key_read = KEYS.iter().find(|known| plain(known) == plain(key));
             ensure!(key_read.is_none(), "the key `{key}` is not read, expected `{}`", key_read.unwrap_or(&""));
-            let is_distortion = DISTORTION.contains(&plain(key).as_str()) || plain(key).starts_with("distort");
+            let is_distortion = DISTORTION.contains(&plain(key).as_str()) || plain(key).contains("distortion");
             ensure!(
                 !is_distortion || !is_any_number(value),
                 Hinted::new(
@@ -230,6 +227,9 @@ mod tests {
             (r#""distortion": [0.0, 0.2]"#, "the images are distorted (`distortion`: [0.0,0.2]), expected those of"),
             (r#""coeffs": [0.1]"#, "the images are distorted (`coeffs`: [0.1])"),
             (r#""distortion_coefficients": { "data": [1e-3] }"#, "the images are distorted"),
+            (r#""dist_coeffs": [0.1, 0.2]"#, "the images are distorted"),
+            (r#""radial_distortion": [0.1]"#, "the images are distorted"),
+            (r#""k1": -0.1, "k2": 0.0"#, "the images are distorted (`k1`: -0.1)"),
         ] {
             let told = told(&with(entry));
             assert!(told.starts_with(expected), "{entry}: {told}");
@@ -248,6 +248,15 @@ mod tests {
             assert_eq!((open3d.intrinsics, open3d.size, open3d.depth_scale), (EXPECTED, Some((64, 48)), None));
         }
         assert_eq!(found("notes.json", MINE).unwrap(), None);
+    }
+
+    #[test]
+    fn a_file_that_cannot_be_read_is_told_and_none_is_read_in_its_place() {
+        let frames = tempfile::tempdir().unwrap();
+        fs::write(frames.path().join("camera_intrinsics.json"), OPEN3D).unwrap();
+        std::os::unix::fs::symlink("nowhere", frames.path().join("camera.json")).unwrap();
+        let told = format!("{:#}", CameraFile::find(frames.path()).unwrap_err());
+        assert!(told.contains("camera.json`: it is no file, or a link to nothing\n  hint: "), "{told}");
     }
 
     #[test]
@@ -286,7 +295,7 @@ mod tests {
         );
         assert!(told(r#"{"intrinsic_matrix": [1, 2]}"#).starts_with("`intrinsic_matrix` has 2 numbers, expected 9\n"));
         let long = format!("{MINE}{}", " ".repeat(MAX_JSON_BYTES as usize));
-        assert!(told(&long).starts_with("it is longer than 1048576 bytes, and no camera's\n  hint: "));
+        assert!(told(&long).starts_with("it is longer than 1048576 bytes\n  hint: "));
         let rows = told(r#"{"intrinsic_matrix": [52.5, 0, 31.5, 0, 52, 23.5, 0, 0, 1]}"#);
         assert_eq!(
             rows,

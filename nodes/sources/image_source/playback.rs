@@ -37,8 +37,8 @@ pub struct Playback {
     described: bool,
     /// Whether it was said that a frame has no measurement.
     pub(super) told_empty: bool,
-    /// Whether the intrinsics are those of the pipeline file.
-    given_intrinsics: bool,
+    /// Whether somebody has told the intrinsics, which else are fitted to points.
+    tells_camera: bool,
 }
 
 impl Playback {
@@ -82,7 +82,7 @@ impl Playback {
             counts: BTreeMap::from([(UNREADABLE, unreadable.saturating_sub(counted))]),
             described: false,
             told_empty: false,
-            given_intrinsics: config.intrinsics.is_some(),
+            tells_camera: recording.tells_camera(),
             poses,
             recording,
         })
@@ -191,9 +191,9 @@ impl Playback {
         }
         let (what, camera) = (format!("{} frames", self.recording.len()), frame.camera);
         self.described = tell_frame(&what, &frame.name, &camera, frame.depth_scale, pixels);
-        if self.described && self.given_intrinsics && is_off_center(&camera) {
+        if self.described && self.tells_camera && is_off_center(&camera) {
             tracing::warn!(
-                "`intrinsics` have the principal point at ({}, {}), far from the middle of images of {}x{}\n  hint: are \
+                "the camera's principal point is at ({}, {}), far from the middle of images of {}x{}\n  hint: are \
                  they those of another resolution? they scale with the image",
                 camera.cx,
                 camera.cy,

@@ -106,6 +106,11 @@ impl Recording {
         })
     }
 
+    /// Whether somebody has told the camera, which else is fitted to points.
+    pub(super) fn tells_camera(&self) -> bool {
+        self.camera.is_some()
+    }
+
     /// Number of frames.
     pub fn len(&self) -> usize {
         self.layout.frames.len()
