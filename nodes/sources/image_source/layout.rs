@@ -7,7 +7,7 @@
 use super::faulty::hinted;
 use super::{depth_png, pcd, raster, tum};
 use anyhow::{Context as _, Error, Result, anyhow, bail};
-use conicflow_messages::Hinted;
+use conicflow_messages::{Hinted, read_text};
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::Read as _;
@@ -148,7 +148,7 @@ pub(super) fn first_size(path: &Path) -> Option<(u32, u32)> {
     }
     let folder = if path.is_dir() { path } else { folder_of(path) };
     for listed in [folder, folder_of(folder)] {
-        if let Ok(text) = fs::read_to_string(listed.join(tum::LIST)) {
+        if let Ok(text) = read_text(&listed.join(tum::LIST), tum::MAX_BYTES) {
             return tum::parse(&text).ok()?.iter().find_map(|entry| size(&listed.join(entry.name)));
         }
     }
@@ -202,7 +202,7 @@ fn folder(path: &Path, seen: &mut Seen<'_>) -> Result<Layout> {
 fn tum_folder(folder: &Path, seen: &mut Seen<'_>) -> Result<Layout> {
     let list = folder.join(tum::LIST);
     let named = |error: Error| hinted(error, tum::HINT).context(format!("`{}`", list.display()));
-    let text = fs::read_to_string(&list).map_err(|error| named(error.into()))?;
+    let text = read_text(&list, tum::MAX_BYTES).map_err(|error| named(error.into()))?;
     let entries = tum::parse(&text).map_err(named)?;
     let count = entries.len();
     let candidates = (1..).zip(entries).map(|(number, entry)| {

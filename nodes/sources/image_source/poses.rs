@@ -9,8 +9,9 @@ use super::faulty::hinted;
 use super::layout::{Seen, file_name, sorted_files};
 use super::recording::{Frame, Recording};
 use super::trajectory::{self, Known, Trajectory};
+use super::tum;
 use anyhow::{Context as _, Error, Result, bail, ensure};
-use conicflow_messages::Hinted;
+use conicflow_messages::{Hinted, read_text};
 use nalgebra::Isometry3;
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -21,9 +22,6 @@ use std::path::{Path, PathBuf};
 const MAX_APART_NS: u64 = 20_000_000;
 /// ... and two are interpolated where no more lies between them: a hand moves a camera evenly over a tenth of a second.
 const MAX_GAP_NS: u64 = 100_000_000;
-
-/// A longer file is none of poses: a day of 30 Hz has a tenth of it.
-const MAX_BYTES: u64 = 1 << 30;
 
 /// What the files of 7-Scenes end in, and TUM's is called.
 const OF_FRAME: &str = ".pose.txt";
@@ -222,10 +220,7 @@ fn files(folder: &Path, ending: &str, seen: &mut Seen<'_>) -> Result<Vec<PathBuf
 }
 
 fn text_of(path: &Path) -> Result<String> {
-    let mut text = String::new();
-    File::open(path)?.take(MAX_BYTES).read_to_string(&mut text)?;
-    ensure!((text.len() as u64) < MAX_BYTES, "it is longer than {MAX_BYTES} bytes");
-    Ok(text)
+    Ok(read_text(path, tum::MAX_BYTES)?)
 }
 
 /// As much of a file as tells what it is.
@@ -233,7 +228,8 @@ fn beginning(path: &Path) -> Result<String> {
     const BYTES: u64 = 512;
     let mut bytes = Vec::new();
     File::open(path)?.take(BYTES).read_to_end(&mut bytes)?;
-    Ok(String::from_utf8_lossy(&bytes).into_owned())
+    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
+    Ok(String::from_utf8_lossy(bytes).into_owned())
 }
 
 #[cfg(test)]

@@ -605,6 +605,8 @@ fn open3d_trajectories_are_in_the_order_of_the_frames() {
     let mut part = source(&folder, Config { first: 2, ..Config::default() }, 0);
     let frame = part.recording.load(0).unwrap();
     assert_eq!(part.header(&frame, 0).pose().map(|rows| rows[0][3]), Some(2.0), "counted from the first of all");
+    let folder = folder.file("trajectory.log", format!("\u{feff}{}", blocks(4)));
+    assert_eq!(places(&folder, PosesConfig::Auto)[1], Some(2.0), "a byte order mark is none of its text");
     let folder = folder.file("trajectory.log", blocks(3));
     let told = poses_told(&folder, "frames/trajectory.log");
     assert!(told.contains("the poses of `frames/trajectory.log`: 3 poses for 4 frames\n  hint: "), "{told}");

@@ -7,6 +7,9 @@ use anyhow::{Context as _, Result, ensure};
 
 /// Name of the list.
 pub(super) const LIST: &str = "depth.txt";
+
+/// A longer text is none of frames or poses: a day of 30 Hz has a tenth of it.
+pub(super) const MAX_BYTES: u64 = 1 << 30;
 /// Metres per unit of a depth pixel.
 pub(super) const DEPTH_SCALE: f64 = 1.0 / 5000.0;
 
