@@ -141,7 +141,7 @@ mod tests {
         encoder.set_depth(BitDepth::Sixteen);
         encoder.set_animated(2, 0).unwrap();
         let mut writer = encoder.write_header().unwrap();
-        [(); 2].map(|()| writer.write_image_data(&[7; 24]).unwrap());
+        (0..2).for_each(|_| writer.write_image_data(&[7; 24]).unwrap());
         writer.finish().unwrap();
         let told = format!("{:#}", decode(&file, (4, 3), &mut [0; 12]).unwrap_err());
         assert_eq!(told, "it has 2 frames, of which one would be read\n  hint: write a file for each frame");
