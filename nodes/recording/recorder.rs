@@ -144,7 +144,7 @@ impl Recorder {
     /// # Errors
     /// It cannot be made or written, or what was there cannot be removed.
     pub fn create(path: &Path, limits: Limits, goes_on: bool) -> Result<Self> {
-        let earlier = files_at(path, &limits);
+        let earlier = files_at(path, goes_on || limits.has_several_files());
         let before = if goes_on { &earlier[..] } else { &[] };
         let mut files = Files {
             path: path.to_owned(),
@@ -238,10 +238,10 @@ fn numbered(path: &Path, number: u64) -> PathBuf {
     path.with_file_name(format!("{prefix}{number}{ending}"))
 }
 
-/// The numbers of the files that are there of a recording at `path`, in their order.
-fn files_at(path: &Path, limits: &Limits) -> Vec<u64> {
+/// The numbers of the files that are there of a recording at `path`, which may have several, in their order.
+fn files_at(path: &Path, may_be_several: bool) -> Vec<u64> {
     let mut numbers = Vec::from_iter(path.exists().then_some(0));
-    if limits.has_several_files() {
+    if may_be_several {
         let (prefix, ending) = around_number(path);
         let folder = path.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
         let names = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.file_name());
@@ -258,7 +258,7 @@ fn files_at(path: &Path, limits: &Limits) -> Vec<u64> {
 
 /// A file that is there of a recording which has its first one at `path`.
 pub fn file_at(path: &Path, limits: &Limits) -> Option<PathBuf> {
-    files_at(path, limits).first().map(|number| numbered(path, *number))
+    files_at(path, limits.has_several_files()).first().map(|number| numbered(path, *number))
 }
 
 /// What stands before and behind the number of a file: `run_` and `.mcap`.

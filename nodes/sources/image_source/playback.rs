@@ -194,7 +194,7 @@ impl Playback {
         if self.described && self.tells_camera && is_off_center(&camera) {
             tracing::warn!(
                 "the camera's principal point is at ({}, {}), far from the middle of images of {}x{}\n  hint: are \
-                 they those of another resolution? they scale with the image",
+                 the intrinsics those of another resolution? they scale with the image",
                 camera.cx,
                 camera.cy,
                 camera.width,
