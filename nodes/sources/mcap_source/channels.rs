@@ -143,7 +143,10 @@ fn choose<'a>(all: &'a [Seen], fitting: &[&'a Seen], config: &Config, what: &str
         let exists = all.iter().find(|channel| channel.channel.topic == wanted);
         let is = exists.map_or_else(
             || "is not in the recording, or has no messages".to_owned(),
-            |channel| format!("carries `{}` in `{}`", channel.schema(), channel.channel.message_encoding),
+            |channel| {
+                let encoding = &channel.channel.message_encoding;
+                format!("carries `{}` in `{encoding}`{}", channel.schema(), kind_of_image(channel))
+            },
         );
         let there = if fitting.is_empty() { "there are none".to_owned() } else { names(fitting) };
         let what = format!("the topic `{wanted}` {is}; expected {what}");
@@ -160,15 +163,27 @@ fn nothing_fits(all: &[Seen], what: &str) -> Hinted {
         .iter()
         .map(|channel| {
             format!(
-                "\n    `{}` with `{}` in {}",
+                "\n    `{}` with `{}` in {}{}",
                 channel.channel.topic,
                 channel.schema(),
-                channel.channel.message_encoding
+                channel.channel.message_encoding,
+                kind_of_image(channel)
             )
         })
         .collect();
     let there = if topics.is_empty() { " no messages at all".to_owned() } else { topics.concat() };
     Hinted::new(format!("the recording has no {what}; it has{there}"), "was the right topic recorded?")
+}
+
+/// Of a channel of images, what these are, or why not even the first one tells.
+fn kind_of_image(channel: &Seen) -> String {
+    if !is(channel, IMAGE.name) {
+        return String::new();
+    }
+    match Image::encoding_of(&channel.first) {
+        Ok(encoding) => format!(", whose pixels are `{encoding}`"),
+        Err(fault) => format!(", of which the first one makes no sense: {fault}"),
+    }
 }
 
 /// The camera of the images: by the parameters, or by the CameraInfo beside them.

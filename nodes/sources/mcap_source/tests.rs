@@ -313,6 +313,19 @@ fn a_recording_without_depth_tells_what_it_has() {
     assert!(
         text.contains(&format!("has no depth images; it has\n    `{INFO}` with `sensor_msgs/msg/CameraInfo` in cdr"))
     );
+    let mut colours = Writer::new(Vec::new());
+    colours.stamped(stamped(0)).u32(3).u32(4).text("rgb8");
+    let colours = colours.finish();
+    for (first, expected) in [
+        (&colours[..], ", whose pixels are `rgb8`"),
+        (&colours[..colours.len() - 3], ", of which the first one makes no sense: "),
+    ] {
+        let file = Foreign::new(None).put(IMAGES, IMAGE, 0, first).bytes();
+        for config in [Config::default(), topic(IMAGES)] {
+            let told = told(&file, config);
+            assert!(told.contains(expected), "{told}");
+        }
+    }
     let ros1 = Foreign::new(None).put_as(IMAGES, ("sensor_msgs/Image", "ros1"), 0, &[0; 8]).bytes();
     assert!(told(&ros1, Config::default()).contains("messages of ROS 1, expected those of ROS 2\n  hint: "));
     assert!(told(&Foreign::new(None).bytes(), Config::default()).contains("no messages at all"));
