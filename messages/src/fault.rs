@@ -98,7 +98,7 @@ impl ConfigFault {
 
     /// What is wrong with metres per unit of depth, the parameter `depth_scale`.
     pub fn of_depth_scale(scale: f64) -> Option<Self> {
-        let fault = || Self::new("depth_scale", "is not above 0 and at most 1", "0.001 for millimetres");
+        let fault = || Self::new("depth_scale", "is not from 1e-9 to 1", "0.001 for millimetres");
         (!DEPTH_SCALES_M.contains(&scale)).then(fault)
     }
 

@@ -227,7 +227,7 @@ impl Header {
             return fault("camera intrinsics that no camera has");
         }
         if !DEPTH_SCALES_M.contains(&self.depth_scale) {
-            return fault("a depth scale that is not above 0 and at most 1 m");
+            return fault("a depth scale that is not from 1e-9 to 1 m");
         }
         let coefficients = [noise.floor_m, noise.growth_per_m, noise.knee_m, noise.step_per_m];
         if !coefficients.iter().all(|coefficient| (-LARGEST_NOISE..=LARGEST_NOISE).contains(coefficient)) {

@@ -73,7 +73,7 @@ impl CameraFile {
             "focal lengths are 1 to 1,000,000 pixels, and a principal point is no farther away, not {intrinsics:?}"
         );
         if let Some(scale) = json.depth_scale {
-            ensure!(DEPTH_SCALES_M.contains(&scale), "`depth_scale` is {scale}, expected more than 0 and at most 1");
+            ensure!(DEPTH_SCALES_M.contains(&scale), "`depth_scale` is {scale:?}, expected 1e-9 to 1");
         }
         Ok(Self { path: path.to_owned(), intrinsics, size: json.width.zip(json.height), depth_scale: json.depth_scale })
     }
@@ -291,7 +291,7 @@ mod tests {
         assert!(told(&MINE.replace("52.0", "0")).starts_with("focal lengths are 1 to 1,000,000 pixels"));
         assert!(
             told(&MINE.replace("0.0002", "-1"))
-                .starts_with("`depth_scale` is -1, expected more than 0 and at most 1\n")
+                .starts_with("`depth_scale` is -1.0, expected 1e-9 to 1\n")
         );
         assert!(told(r#"{"intrinsic_matrix": [1, 2]}"#).starts_with("`intrinsic_matrix` has 2 numbers, expected 9\n"));
         let long = format!("{MINE}{}", " ".repeat(MAX_JSON_BYTES as usize));

@@ -84,7 +84,7 @@ impl Recording {
         ensure!(
             DEPTH_SCALES_M.contains(&depth_scale),
             Hinted::new(
-                format!("`depth_scale` is {depth_scale}, expected more than 0 and at most 1"),
+                format!("`depth_scale` is {depth_scale:?}, expected 1e-9 to 1"),
                 "metres per unit: 0.001 for millimetres"
             )
         );

@@ -189,7 +189,7 @@ mod tests {
         assert!(told(&whole).is_empty());
         assert_eq!(told(&Config { fov_deg: Some(80.0), ..whole.clone() }), ["fov_deg: stands beside `intrinsics`"]);
         assert_eq!(told(&Config { height: None, ..whole.clone() })[0], "width: is one of two");
-        assert_eq!(told(&Config { depth_scale: 0.0, ..whole })[0], "depth_scale: is not above 0 and at most 1");
+        assert_eq!(told(&Config { depth_scale: 0.0, ..whole })[0], "depth_scale: is not from 1e-9 to 1");
         assert!(told(&Config { fov_deg: Some(80.0), ..Config::default() }).is_empty());
     }
 
