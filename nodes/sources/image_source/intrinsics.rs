@@ -289,10 +289,7 @@ mod tests {
         assert!(told("{\n oops").contains("line 2"));
         assert!(told(&MINE.replace("\"fy\": 52.0, ", "")).starts_with("the key `fy` is missing\n  hint: write `{"));
         assert!(told(&MINE.replace("52.0", "0")).starts_with("focal lengths are 1 to 1,000,000 pixels"));
-        assert!(
-            told(&MINE.replace("0.0002", "-1"))
-                .starts_with("`depth_scale` is -1.0, expected 1e-9 to 1\n")
-        );
+        assert!(told(&MINE.replace("0.0002", "-1")).starts_with("`depth_scale` is -1.0, expected 1e-9 to 1\n"));
         assert!(told(r#"{"intrinsic_matrix": [1, 2]}"#).starts_with("`intrinsic_matrix` has 2 numbers, expected 9\n"));
         let long = format!("{MINE}{}", " ".repeat(MAX_JSON_BYTES as usize));
         assert!(told(&long).starts_with("it is longer than 1048576 bytes\n  hint: "));
