@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 const BUILT_IN: &str = include_str!("../../pipeline.toml");
 const DEFAULT_FILE: &str = "pipeline.toml";
 /// No pipeline file is longer.
-const MOST_BYTES: u64 = 1 << 24;
+const MOST_BYTES: u64 = 1 << 24; // [algorithmic]
 
 #[derive(Args, Default)]
 pub struct FileArguments {
