@@ -6,7 +6,7 @@ use rustix::process::Signal;
 use serde_json::Value as Json;
 use std::collections::BTreeSet;
 
-/// A ball that goes to and fro, and is always in view.
+/// A ball that goes to and fro, is always in view, and turns back so slowly that it is known again after seconds without a frame.
 const SCENE: &str = r#"
 name = "to and fro"
 
@@ -18,7 +18,7 @@ direction = [0.0, 1.0, 0.0]
 name   = "ball"
 center = [-0.08, 1.5, 0.0]
 radius = 0.08
-motion.path = { points = [{ t_s = 0, offset = [0, 0, 0] }, { t_s = 2, offset = [0.16, 0, 0] }], then = "return" }
+motion.path = { points = [{ t_s = 0, offset = [0, 0, 0] }, { t_s = 20, offset = [0.16, 0, 0] }], then = "return" }
 "#;
 
 fn start(playground: &Playground) -> Started {
