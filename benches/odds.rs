@@ -142,7 +142,7 @@ fn fit(samples: &[Sample], fitted: &Range<usize>) -> SVector<f64, TERMS> {
             (-PRIOR * only_fitted(&weights), SMatrix::<f64, TERMS, TERMS>::identity() * PRIOR);
         for Sample { terms, is_right, .. } in samples {
             let (probability, terms) = (1.0 / (1.0 + (-weights.dot(terms)).exp()), only_fitted(terms));
-            gradient += terms * (f64::from(u8::from(*is_right)) - probability);
+            gradient += terms * (f64::from(*is_right) - probability);
             curvature += terms * terms.transpose() * (probability * (1.0 - probability));
         }
         let Some(curvature) = curvature.cholesky() else { break };

@@ -201,13 +201,6 @@ mod tests {
     }
 
     #[test]
-    fn the_root_next_to_zero_is_found_to_all_digits() {
-        // (x - 0.1) (x - 1) (x - 2)
-        let root = root_near_zero(&[-0.2, 2.3, -3.1, 1.0]);
-        assert!((root - 0.1).abs() < 1e-10, "{root}");
-    }
-
-    #[test]
     fn short_arcs_full_of_noise_do_not_speak_against_a_circle() {
         for n in 6..16 {
             for seed in 0..200_u32 {
@@ -264,8 +257,8 @@ mod tests {
     }
 
     #[test]
-    fn the_roots_of_cubics_that_bend_much_before_them_are_found_to_all_digits() {
-        for [a, b, c] in [[0.4, 1.0, 2.0], [0.9, 1.0, 1.1], [0.5, 0.7, 30.0], [-0.1, 0.9, 1.5]] {
+    fn the_roots_of_cubics_are_found_to_all_digits_also_where_they_bend_much_before_them() {
+        for [a, b, c] in [[0.1, 1.0, 2.0], [0.4, 1.0, 2.0], [0.9, 1.0, 1.1], [0.5, 0.7, 30.0], [-0.1, 0.9, 1.5]] {
             let root = root_near_zero(&[-a * b * c, a * b + b * c + c * a, -(a + b + c), 1.0]);
             assert!((root - a).abs() < 1e-8, "{root} {a}");
         }

@@ -418,7 +418,7 @@ impl Seen {
     /// Tells how the outline runs there, and by that what is expected of the point's error.
     fn place(&mut self, along: f64, radius_px: f64, noise: &ContourNoise) {
         (self.along, self.radius_px) = (along, radius_px);
-        (self.expected, self.variance) = (noise.expected(self), noise.variance(self));
+        (self.expected, self.variance) = (self.moved_by(&noise.bias.mean), noise.point.dot(&self.by_noise()));
     }
 
     /// By how much each part of the bias of its side moves it, in pixels along the line.
@@ -435,18 +435,6 @@ impl Seen {
     /// How much each part of the noise adds to its variance, in square pixels along the line.
     fn by_noise(&self) -> Vector2<f64> {
         Vector2::new(1.0, (self.radius_px / self.along).powi(2))
-    }
-}
-
-impl ContourNoise {
-    /// Variance of a point along its line, in square pixels.
-    fn variance(&self, seen: &Seen) -> f64 {
-        self.point.dot(&seen.by_noise())
-    }
-
-    /// Expected error of a point along its line, in pixels.
-    fn expected(&self, seen: &Seen) -> f64 {
-        seen.moved_by(&self.bias.mean)
     }
 }
 

@@ -1,6 +1,7 @@
 //! How far points and contour depart from a sphere, cylinder or cone towards other quadrics: an oval section, an ellipsoid.
 
-use crate::pooled::{System, gradient};
+use crate::pooled::System;
+use crate::surface::gradient;
 use crate::{Coefficients, Contour, QuadricMoments, Surface, SurfaceFit, Vector3};
 use nalgebra::{SMatrix, SVector};
 

@@ -117,11 +117,11 @@ impl Conic {
         Self { origin, coefficients }
     }
 
-    /// The same curve after `point -> origin + scale * point`.
-    fn placed(&self, origin: [f64; 2], scale: f64) -> Self {
+    /// The same curve, so many times as large.
+    fn scaled(&self, scale: f64) -> Self {
         let [a, b, c, d, e, f] = self.coefficients;
         let square = scale * scale;
-        Self { origin, coefficients: [a / square, b / square, c / square, d / scale, e / scale, f] }
+        Self { origin: self.origin, coefficients: [a / square, b / square, c / square, d / scale, e / scale, f] }
     }
 }
 
@@ -148,7 +148,7 @@ pub fn fit_ellipse(moments: &PlaneMoments) -> Option<Conic> {
     let quadratic = ellipse_eigenvector(&scatter)?;
     let rest = linear * quadratic;
     let coefficients = [quadratic.x, quadratic.y, quadratic.z, rest.x, rest.y, rest.z];
-    Some(Conic { origin: mean, coefficients }.placed(mean, spread))
+    Some(Conic { origin: mean, coefficients }.scaled(spread))
 }
 
 /// `T = -S3^-1 S2'` of moments with mean zero, where S3 falls into a 2x2 block and a one.
@@ -259,7 +259,7 @@ mod tests {
 
     /// Deterministic noise with mean 0 and standard deviation about 1.
     fn noise(i: usize) -> f64 {
-        let hash = |n: usize| (n as f64 * 12.9898).sin().mul_add(43758.5453, 0.0).rem_euclid(1.0);
+        let hash = |n: usize| ((n as f64 * 12.9898).sin() * 43758.5453).rem_euclid(1.0);
         (hash(3 * i + 1) + hash(3 * i + 2) + hash(3 * i + 3) - 1.5) * 2.0
     }
 

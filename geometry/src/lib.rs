@@ -48,11 +48,13 @@ pub use ellipse::{Conic, Ellipse, fit_ellipse};
 pub use information::Information;
 pub use line::{Line, LineMoments, PencilMoments, line_rms};
 pub use moments::{MOMENTS, PlaneMoments};
-pub use pooled::{GradientNoise, Prediction, SurfaceFit, fit_surface, fit_with_contour, gradient, meets};
+pub use pooled::{GradientNoise, Prediction, SurfaceFit, fit_surface, fit_with_contour};
 pub use profile::{CircleProfile, fit_circle_profile, fit_line_profile};
 pub use regression::{Fit, Regression};
 pub use section::SectionShape;
 pub use space::{Coefficients, QUADRIC_TERMS, QuadricMoments, SpaceMoments};
-pub use surface::{Conical, FixedSlope, FreeSlope, Sphere, Surface, section_about, section_of};
+pub use surface::{
+    Conical, FixedSlope, FreeSlope, Sphere, Surface, across, gradient, meets, section_about, section_of,
+};
 pub use unbiased::{ArcSums, LineSums, RayPart, RaySums};
 pub use vector::Vector3;

@@ -1,5 +1,6 @@
 //! Lines: of least squared distance in a scan plane or in space, and through one point on each plane of a pencil.
 
+use crate::arc_fit::smaller_eigenvalue;
 use crate::{PlaneMoments, Regression, Scan, ScanPlane, Vector3};
 use nalgebra::{Matrix3, SymmetricEigen};
 
@@ -7,9 +8,8 @@ use nalgebra::{Matrix3, SymmetricEigen};
 /// than two or all are the same.
 pub fn line_rms(moments: &PlaneMoments) -> Option<f64> {
     let [ss, st, tt] = moments.about(moments.mean()?).covariance()?;
-    let (mean, half_gap) = ((ss + tt) / 2.0, ((ss - tt) / 2.0).hypot(st));
-    let is_line = moments.count() >= 2.0 && mean > 0.0;
-    is_line.then(|| (mean - half_gap).max(0.0).sqrt())
+    let is_line = moments.count() >= 2.0 && ss + tt > 0.0;
+    is_line.then(|| smaller_eigenvalue(ss, st, tt).max(0.0).sqrt())
 }
 
 /// Running sums over points in space: one more point is O(1).

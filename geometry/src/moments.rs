@@ -260,12 +260,6 @@ mod tests {
     }
 
     #[test]
-    fn a_moved_origin_gives_what_summing_about_it_gives() {
-        let direct = PlaneMoments::of([1.1, 1.7], points());
-        assert_same(&PlaneMoments::of([-0.5, 0.4], points()).about([1.1, 1.7]), &direct);
-    }
-
-    #[test]
     fn scaling_multiplies_offsets() {
         let far = points().into_iter().map(|[s, t]| [1.0 + 3.0 * (s - 1.0), 2.0 + 3.0 * (t - 2.0)]);
         assert_same(&PlaneMoments::of([1.0, 2.0], points()).scaled(3.0), &PlaneMoments::of([1.0, 2.0], far));
@@ -295,8 +289,8 @@ mod tests {
     }
 
     #[test]
-    fn an_origin_that_moves_along_one_axis_alone_is_seen_too() {
-        for origin in [[1.1, 0.4], [-0.5, 1.7], [-0.5, 0.4]] {
+    fn a_moved_origin_gives_what_summing_about_it_gives_also_along_one_axis_alone() {
+        for origin in [[1.1, 1.7], [1.1, 0.4], [-0.5, 1.7], [-0.5, 0.4]] {
             assert_same(&PlaneMoments::of([-0.5, 0.4], points()).about(origin), &PlaneMoments::of(origin, points()));
         }
     }

@@ -5,7 +5,7 @@
 //! the damping holds, and below zero is as good as zero.
 
 use crate::space::{dot, monomials};
-use crate::{Coefficients, Contour, ContourTerm, QuadricMoments, Surface, Vector3};
+use crate::{Coefficients, Contour, ContourTerm, QuadricMoments, Surface, Vector3, gradient};
 use nalgebra::{SMatrix, SVector};
 
 /// Most steps of a fit.
@@ -123,7 +123,7 @@ impl<const N: usize> GradientNoise<N> {
         let m = monomials(point);
         let j = SVector::<f64, N>::from_fn(|i, _| dot(&self.derivatives[i], &m));
         let slope = gradient(&self.coefficients, point).dot(point) / point.z;
-        add_square(&mut self.matrix, &j, weight * slope * slope);
+        self.matrix += j * j.transpose() * (weight * slope * slope);
     }
 
     /// Covariance of the parameters of a fit. Its contour scatters as it counts, but that so many neighbouring lines share
@@ -152,37 +152,6 @@ impl<const N: usize> Prediction<N> {
         let j = SVector::<f64, N>::from_fn(|i, _| dot(&self.derivatives[i], &m));
         j.dot(&(self.inverse * j)).max(0.0)
     }
-}
-
-/// Adds `weight v v'`.
-#[inline]
-fn add_square<const N: usize>(sum: &mut SMatrix<f64, N, N>, v: &SVector<f64, N>, weight: f64) {
-    for i in 0..N {
-        for j in 0..=i {
-            let entry = v[i] * v[j] * weight;
-            sum[(i, j)] += entry;
-            if i != j {
-                sum[(j, i)] += entry;
-            }
-        }
-    }
-}
-
-/// Gradient of a quadric at a point.
-pub fn gradient(q: &Coefficients, p: &Vector3) -> Vector3 {
-    Vector3::new(
-        2.0 * q[0] * p.x + q[3] * p.y + q[4] * p.z + q[6],
-        2.0 * q[1] * p.y + q[3] * p.x + q[5] * p.z + q[7],
-        2.0 * q[2] * p.z + q[4] * p.x + q[5] * p.y + q[8],
-    )
-}
-
-/// Whether the line of a ray meets a quadric, be it behind the camera.
-pub fn meets(q: &Coefficients, ray: &Vector3) -> bool {
-    let [xx, yy, zz, xy, xz, yz, x, y, z, c] = *q;
-    let a = ray.x * (xx * ray.x + xy * ray.y + xz * ray.z) + ray.y * (yy * ray.y + yz * ray.z) + zz * ray.z * ray.z;
-    let b = x * ray.x + y * ray.y + z * ray.z;
-    b * b - 4.0 * a * c > 0.0
 }
 
 /// The normal equations at one surface, in the frame of the fit.

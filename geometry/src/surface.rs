@@ -156,10 +156,7 @@ impl Conical {
 
     /// Two unit vectors across the axis, perpendicular to each other.
     pub fn across(&self) -> [Vector3; 2] {
-        let mut other = Vector3::zeros();
-        other[self.axis.iamin()] = 1.0;
-        let u = self.axis.cross(&other).normalize();
-        [u, self.axis.cross(&u)]
+        across(&self.axis)
     }
 
     /// The forms by which an oval section differs from a round one: F plus x times one of them is off it by up to `x R / 2`,
@@ -284,6 +281,31 @@ fn pack(a: &Matrix3<f64>, b: &Vector3, e: f64) -> Coefficients {
     [a[(0, 0)], a[(1, 1)], a[(2, 2)], twice(0, 1), twice(0, 2), twice(1, 2), b.x, b.y, b.z, e]
 }
 
+/// Two unit vectors across a third one, perpendicular to each other.
+pub fn across(axis: &Vector3) -> [Vector3; 2] {
+    let mut other = Vector3::zeros();
+    other[axis.iamin()] = 1.0;
+    let u = axis.cross(&other).normalize();
+    [u, axis.cross(&u)]
+}
+
+/// Gradient of a quadric at a point.
+pub fn gradient(q: &Coefficients, p: &Vector3) -> Vector3 {
+    Vector3::new(
+        2.0 * q[0] * p.x + q[3] * p.y + q[4] * p.z + q[6],
+        2.0 * q[1] * p.y + q[3] * p.x + q[5] * p.z + q[7],
+        2.0 * q[2] * p.z + q[4] * p.x + q[5] * p.y + q[8],
+    )
+}
+
+/// Whether the line of a ray meets a quadric, be it behind the camera.
+pub fn meets(q: &Coefficients, ray: &Vector3) -> bool {
+    let [xx, yy, zz, xy, xz, yz, x, y, z, c] = *q;
+    let a = ray.x * (xx * ray.x + xy * ray.y + xz * ray.z) + ray.y * (yy * ray.y + yz * ray.z) + zz * ray.z * ray.z;
+    let b = x * ray.x + y * ray.y + z * ray.z;
+    b * b - 4.0 * a * c > 0.0
+}
+
 /// The conic `[s^2, s t, t^2, s, t, 1]` that a scan plane cuts out of a quadric.
 pub fn section_of(q: &Coefficients, plane: &ScanPlane) -> [f64; 6] {
     let [xx, yy, zz, xy, xz, yz, x, y, z, one] = *q;
@@ -320,7 +342,6 @@ mod tests {
 
     fn cone() -> Conical {
         Conical { point: Vector3::zeros(), axis: Vector3::new(0.2, 0.9, -0.3).normalize(), radius: 0.8, slope: 0.2 }
-            .anchored(&Vector3::zeros())
     }
 
     fn check_derivatives<const N: usize>(surface: impl Surface<N>) {
@@ -336,6 +357,23 @@ mod tests {
                 let difference = (more[k] - less[k]) / 2e-6;
                 assert!((difference - derivatives[i][k]).abs() < 1e-6, "{i} {k}: {difference} {}", derivatives[i][k]);
             }
+        }
+    }
+
+    #[test]
+    fn rays_meet_a_surface_within_its_outline() {
+        let center = Vector3::new(0.3, -0.2, 1.5);
+        let ball = Sphere { center, radius: 0.4 }.coefficients();
+        let leaning = Vector3::new(0.2, 0.9, -0.4).normalize();
+        let can = FixedSlope(Conical { point: center, axis: leaning, radius: 0.4, slope: 0.0 }).coefficients();
+        for step in 0..400 {
+            // How long it is does not matter.
+            let ray = Vector3::new(f64::from(step % 20) - 8.0, f64::from(step / 20) - 11.0, 10.0) * 0.03;
+            let to_ball = ray.cross(&center).norm() / ray.norm();
+            assert_eq!(meets(&ball, &ray), to_ball < 0.4, "a ball, by {ray}");
+            let beside = ray.cross(&leaning);
+            let to_axis = beside.dot(&center).abs() / beside.norm();
+            assert_eq!(meets(&can, &ray), to_axis < 0.4, "a can, by {ray}");
         }
     }
 

@@ -5,7 +5,7 @@ use crate::simulator::scene::{Body, Scene};
 use crate::simulator::sensor::SensorConfig;
 use crate::simulator::shapes::{Block, Frustum, Plane, Shape, Sphere};
 use conicflow_detection::noise::{NoiseCoefficients, NoiseConfig};
-use conicflow_geometry::Vector3;
+use conicflow_geometry::{Vector3, across};
 use conicflow_messages::{Camera, Header, NoiseModel};
 
 /// Half the resolution of a Kinect: 320 x 240.
@@ -13,11 +13,7 @@ pub const KINECT_HALF: Camera = Camera { width: 320, height: 240, fx: 290.0, fy:
 
 /// The points p with `normal . p = offset`, for a unit `normal` and an `offset` in metres.
 pub fn plane(normal: Vector3, offset: f64) -> Shape {
-    let mut other = Vector3::zeros();
-    other[normal.iamin()] = 1.0;
-    let side = normal.cross(&other).normalize();
-    let sides = [side, normal.cross(&side)];
-    Shape::Plane(Plane { point: normal * offset, normal, sides, half: [f64::INFINITY; 2] })
+    Shape::Plane(Plane { point: normal * offset, normal, sides: across(&normal), half: [f64::INFINITY; 2] })
 }
 
 /// A sphere, in metres.

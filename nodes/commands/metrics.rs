@@ -135,7 +135,7 @@ impl Families<'_> {
     }
 
     fn of_stages(&mut self, stages: &[StageRecord]) -> fmt::Result {
-        let up = |stage: &StageRecord| f64::from(u8::from(stage.usage.is_some()));
+        let up = |stage: &StageRecord| f64::from(stage.usage.is_some());
         let node =
             |stage: &StageRecord| [of_stage(stage), vec![("node", stage.planned.runs.name().to_owned())]].concat();
         self.gauge(
@@ -171,7 +171,7 @@ impl Families<'_> {
         )?;
         let silent = living.clone().map(|(stage, usage)| (of_stage(stage), usage.silent.as_secs_f64()));
         self.gauge("silent", "Time since the stage's last sign of life", Some(Unit::Seconds), silent)?;
-        let waits = |stage: &StageRecord| f64::from(u8::from(!stage.status.waits_for.to_string().is_empty()));
+        let waits = |stage: &StageRecord| f64::from(!stage.status.waits_for.to_string().is_empty());
         let waiting = living.map(|(stage, _)| (of_stage(stage), waits(stage)));
         self.gauge("waiting", "Whether the stage waits for another to take its messages", None, waiting)
     }
@@ -230,7 +230,7 @@ impl Families<'_> {
 
     fn of_links(&mut self, links: &[LinkReport]) -> fmt::Result {
         let of_link = |link: &LinkReport| vec![("machine", link.machine.clone())];
-        let up = links.iter().map(|link| (of_link(link), f64::from(u8::from(link.state == LinkState::Up))));
+        let up = links.iter().map(|link| (of_link(link), f64::from(link.state == LinkState::Up)));
         self.gauge("link_up", "Whether the other machine is heard of", None, up)?;
         let round_trip = links.iter().filter_map(|link| Some((of_link(link), link.round_trip_ms? * 1e-3)));
         self.gauge("link_round_trip", "Shortest time there and back, of late", Some(Unit::Seconds), round_trip)?;

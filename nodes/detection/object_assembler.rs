@@ -71,9 +71,7 @@ impl Stage for ObjectAssembler {
 
     fn new(config: Self::Config, context: &Context) -> Result<Self, StageError> {
         let ObjectAssemblerConfig { method, mut common, profile } = config;
-        if context.delivery == Some(Delivery::Latest) {
-            common.pooled.budget_ms.get_or_insert(LIVE_BUDGET_MS);
-        }
+        common.pooled.budget_ms = budget_ms(common.pooled.budget_ms, context.delivery);
         let assembler = match method {
             Method::Pooled => AnyAssembler::Pooled(Box::new(Assembler::new(common))),
             Method::Profile => {
@@ -104,6 +102,11 @@ impl Stage for ObjectAssembler {
     }
 }
 
+/// The budget that a stage has of its own accord: only where it works live, and none was said.
+fn budget_ms(said: Option<f64>, delivery: Option<Delivery>) -> Option<f64> {
+    said.or((delivery == Some(Delivery::Latest)).then_some(LIVE_BUDGET_MS))
+}
+
 impl ObjectAssembler {
     /// Says once that the ellipses are of the other kind than the method is made for.
     fn warn_of_mismatch(&mut self, ellipses: &[Ellipse]) {
@@ -126,17 +129,34 @@ mod tests {
 
     #[test]
     fn a_stage_has_a_budget_of_its_own_accord_only_where_it_works_live() {
-        let budget = |said: Option<f64>, delivery: Option<Delivery>| {
-            let mut config = ObjectAssemblerConfig::default();
-            config.common.pooled.budget_ms = said;
-            let stage = ObjectAssembler::new(config, &Context { delivery, ..Context::default() }).unwrap();
-            let AnyAssembler::Pooled(assembler) = stage.assembler else { panic!("another method") };
-            assembler.parameters().pooled.budget_ms
-        };
         let deliveries = [Some(Delivery::Latest), Some(Delivery::Lossless), None];
-        assert_eq!(deliveries.map(|delivery| budget(None, delivery)), [Some(LIVE_BUDGET_MS), None, None]);
+        assert_eq!(deliveries.map(|delivery| budget_ms(None, delivery)), [Some(LIVE_BUDGET_MS), None, None]);
         for said in [0.0, 7.0] {
-            assert_eq!(deliveries.map(|delivery| budget(Some(said), delivery)), [Some(said); 3]);
+            assert_eq!(deliveries.map(|delivery| budget_ms(Some(said), delivery)), [Some(said); 3]);
         }
+    }
+
+    #[test]
+    fn limits_that_exclude_each_other_are_faults() {
+        use conicflow_detection::assemble::{AxialLimits, PooledParameters, RadiusLimits};
+        let common = AssemblerParameters {
+            sphere: RadiusLimits { min_m: 0.5, max_m: 0.1 },
+            cone: AxialLimits { min_m: 0.1, max_m: 0.2, min_length_m: 2.0, max_length_m: 1.0 },
+            max_half_angle_deg: 20.0,
+            pooled: PooledParameters { min_half_angle_deg: 30.0, ..PooledParameters::default() },
+            ..AssemblerParameters::default()
+        };
+        // Of two methods the least half-angle of that counts which is used.
+        for (method, profile_deg, keys) in [
+            (Method::Pooled, 5.0, &["sphere", "cone", "pooled"][..]),
+            (Method::Profile, 5.0, &["sphere", "cone"]),
+            (Method::Profile, 40.0, &["sphere", "cone", "profile"]),
+        ] {
+            let profile = ProfileParameters { min_half_angle_deg: profile_deg, ..ProfileParameters::default() };
+            let config = ObjectAssemblerConfig { method, common: common.clone(), profile };
+            let faults = ObjectAssembler::faults(&config, Path::new(""));
+            assert!(faults.iter().map(|fault| fault.key).eq(keys.iter().copied()), "{method:?}: {faults:?}");
+        }
+        assert_eq!(ObjectAssembler::faults(&ObjectAssemblerConfig::default(), Path::new("")), []);
     }
 }

@@ -130,6 +130,11 @@ impl Files {
         Messages { left, open: None, topics, from_ns: None, is_only, is_told: false, damaged: 0, stop }
     }
 
+    /// The same, with not a word on files that end in the middle.
+    pub fn messages_again(&self, topics: &[&str]) -> Messages {
+        Messages { is_told: true, ..self.messages(topics) }
+    }
+
     /// Those that were written at `from_ns` or later, with not a word on files that end in the middle. Of a file whose end tells
     /// where its messages are no more is read than is needed, and they come in the order of their times.
     pub fn messages_from(&self, topics: &[&str], from_ns: u64) -> Messages {
@@ -163,11 +168,6 @@ impl Files {
             }
         }
         Ok(span)
-    }
-
-    /// The same, with not a word on files that end in the middle.
-    pub fn messages_again(&self, topics: &[&str]) -> Messages {
-        Messages { is_told: true, ..self.messages(topics) }
     }
 }
 

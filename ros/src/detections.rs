@@ -34,7 +34,7 @@ fn covariance(object: &Object) -> [[f64; 6]; 6] {
     for row in 0..3 {
         covariance[row][..3].copy_from_slice(&object.sigma.center[row]);
         for column in 0..3 {
-            let unit = f64::from(u8::from(row == column));
+            let unit = f64::from(row == column);
             covariance[3 + row][3 + column] = if object.shape().has_axis() {
                 let along = object.axis[row] * object.axis[column];
                 across * (unit - along) + UNKNOWN_ANGLE * along

@@ -37,7 +37,7 @@ pub(crate) struct Arc {
     ends: [[f64; END_POINTS]; 2],
     /// Variance of a depth for which the moments were corrected, in square metres.
     corrected: f64,
-    /// The same in space, once somebody asked for them.
+    /// The moments in space, once somebody asked for them.
     space: OnceLock<SpaceMoments>,
     /// Number of points.
     pub count: u32,

@@ -165,7 +165,7 @@ impl Contours {
             let learned = &mut self.learned[direction(region)];
             learned.bias += bias;
             learned.noise += noise;
-            learned.objects += f64::from(u8::from(sides.iter().any(|(points, _)| *points > 0)));
+            learned.objects += f64::from(sides.iter().any(|(points, _)| *points > 0));
             learned.window_px = window_px(region);
             for (side, (points, radius_px)) in sides.into_iter().enumerate() {
                 learned.points[side] += points as f64;

@@ -65,11 +65,6 @@ impl Assembler {
         }
     }
 
-    /// Its parameters.
-    pub fn parameters(&self) -> &AssemblerParameters {
-        &self.parameters
-    }
-
     /// All candidates of the last image, reported or not, with what spoke for each and against it.
     pub fn candidates(&self) -> &[(Object, Evidence)] {
         &self.candidates

@@ -4,13 +4,12 @@ use super::arcs::{Arc, Misfit};
 use super::region::Region;
 use conicflow_geometry::{
     ArcFit, Coefficients, Conical, FixedSlope, FreeSlope, Line, LineMoments, Prediction, QuadricMoments, SpaceMoments,
-    Sphere, Surface, SurfaceFit, Vector3, fit_surface,
+    Sphere, Surface, SurfaceFit, Vector3, across, fit_surface,
 };
 use conicflow_messages::ObjectKind;
 
-/// Number of refits of a cone. Each weighs the arcs by the radius that the last fit gives them.
-const CONE_PASSES: usize = 1; // [algorithmic]
-/// Least radius at an arc of a cone, as a part of the radius in its middle: it keeps weights finite near the apex.
+/// Least radius at an arc of a cone, as a part of the radius in its middle: it keeps weights finite near the apex, where points
+/// are off by nobody knows how much.
 const LEAST_EXCESS: f64 = 0.05; // [algorithmic]
 /// The first fit of a cone may leave so many times the square sum of its refit: it weighs the arcs as those of a cylinder.
 const UNWEIGHTED: f64 = 2.0; // [algorithmic]
@@ -54,6 +53,15 @@ impl Model {
         }
     }
 
+    /// The point from which places along the axis are counted, and the direction of the axis; the centre and zero for a sphere.
+    pub fn axis(&self) -> (Vector3, Vector3) {
+        match self {
+            Self::Sphere(fit) => (fit.surface.center, Vector3::zeros()),
+            Self::Cylinder(fit) => (fit.surface.0.point, fit.surface.0.axis),
+            Self::Cone(fit) => (fit.surface.0.point, fit.surface.0.axis),
+        }
+    }
+
     /// Radius, and its variance were the noise of each line its own.
     pub fn radius(&self) -> (f64, f64) {
         match self {
@@ -72,14 +80,17 @@ impl Model {
         }
     }
 
-    /// By how much F is too great at an arc (see [`Conical`]); `None` beyond the apex of a cone.
-    pub fn excess(&self, arc: &Arc) -> Option<f64> {
+    /// By how much F is too great at an arc (see [`Conical`]); below zero beyond the apex of a cone.
+    fn excess(&self, arc: &Arc) -> f64 {
         match self {
-            Self::Cone(fit) => {
-                Some(fit.surface.0.radius_at(&arc.mean) / fit.surface.0.radius).filter(|g| *g > LEAST_EXCESS)
-            }
-            _ => Some(1.0),
+            Self::Cone(fit) => fit.surface.0.radius_at(&arc.mean) / fit.surface.0.radius,
+            _ => 1.0,
         }
+    }
+
+    /// The weight of a point of an arc: one over the variance of F there.
+    pub fn weight(&self, arc: &Arc) -> f64 {
+        1.0 / (arc.variance * self.excess(arc).max(LEAST_EXCESS).powi(2))
     }
 
     /// Weighted sum of the squared distances.
@@ -105,11 +116,12 @@ impl Model {
         self.square_sum() + self.contour_sum()
     }
 
-    /// How far the points of an arc are off the model, of which `q` are the coefficients.
+    /// How far the points of an arc are off the model, of which `q` are the coefficients; `None` near and beyond the apex of a
+    /// cone.
     pub fn misfit(&self, q: &Coefficients, arc: &Arc) -> Option<Misfit> {
-        let excess = self.excess(arc)?;
+        let excess = self.excess(arc);
         let Misfit { square, mean } = arc.misfit(q);
-        Some(Misfit { square: square / (excess * excess), mean: mean / excess })
+        (excess > LEAST_EXCESS).then(|| Misfit { square: square / (excess * excess), mean: mean / excess })
     }
 }
 
@@ -140,11 +152,16 @@ impl Predictor {
     }
 }
 
-/// The arcs pooled, each with the weight of one over its variance, times what `excess` asks for.
-pub(super) fn pool<'a>(arcs: impl Iterator<Item = &'a Arc>, excess: impl Fn(&Arc) -> f64) -> SpaceMoments {
+/// The points of the arcs pooled, each with a weight.
+fn pool<'a>(arcs: impl Iterator<Item = &'a Arc>, weight: impl Fn(&Arc) -> f64) -> SpaceMoments {
     let mut pool = SpaceMoments::default();
-    arcs.for_each(|arc| pool.add(arc.space(), 1.0 / (arc.variance * excess(arc).powi(2))));
+    arcs.for_each(|arc| pool.add(arc.space(), weight(arc)));
     pool
+}
+
+/// The weight of a point of which nothing is known but its noise.
+fn precision(arc: &Arc) -> f64 {
+    1.0 / arc.variance
 }
 
 /// The arcs of a region pooled with the weights that its model gives them, without the points outside its outline, or within
@@ -157,7 +174,7 @@ pub(super) fn pool_within(region: &Region, edge_px: f64) -> SpaceMoments {
             left_out += 1;
             continue;
         }
-        let weight = 1.0 / (arc.variance * model.excess(arc).unwrap_or(LEAST_EXCESS).powi(2));
+        let weight = model.weight(arc);
         pool.add(arc.space(), weight);
         arc.outside(&q, edge_px).for_each(|point| pool.add(&point, -weight));
     }
@@ -181,7 +198,7 @@ pub(super) fn fit<'a>(
 }
 
 fn fit_sphere<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Model>, most: f64) -> Option<Model> {
-    let moments = pool(arcs.clone(), |_| 1.0).normalized()?;
+    let moments = pool(arcs.clone(), precision).normalized()?;
     let start = match last {
         Some(Model::Sphere(fit)) => fit.surface,
         _ => moments.sphere()?,
@@ -190,7 +207,7 @@ fn fit_sphere<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&
 }
 
 fn fit_cylinder<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Model>, most: f64) -> Option<Model> {
-    let moments = pool(arcs.clone(), |_| 1.0).normalized()?;
+    let moments = pool(arcs.clone(), precision).normalized()?;
     let start = match last {
         Some(Model::Cylinder(fit)) => fit.surface,
         _ => FixedSlope(start(arcs.clone(), &moments)?),
@@ -199,10 +216,10 @@ fn fit_cylinder<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option
 }
 
 fn fit_cone<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Model>, most: f64) -> Option<Model> {
-    let mut fit = match last {
+    let first = match last {
         Some(Model::Cone(fit)) => *fit,
         _ => {
-            let moments = pool(arcs.clone(), |_| 1.0).normalized()?;
+            let moments = pool(arcs.clone(), precision).normalized()?;
             let start = match last {
                 Some(Model::Cylinder(fit)) => fit.surface.0,
                 _ => start(arcs.clone(), &moments)?,
@@ -211,17 +228,8 @@ fn fit_cone<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Mo
             (fit.surface.0.slope.abs() <= STEEPEST).then_some(fit)?
         }
     };
-    for _ in 0..CONE_PASSES {
-        let cone = fit.surface.0;
-        let moments = pool(arcs.clone(), |arc| excess(&cone, arc)).normalized()?;
-        fit = fit_surface(&moments, &fit.surface, most)?;
-    }
-    Some(Model::Cone(upright(fit)))
-}
-
-/// By how much F is too great at an arc of a cone; not less than a little above zero, near and beyond the apex.
-fn excess(cone: &Conical, arc: &Arc) -> f64 {
-    (cone.radius_at(&arc.mean) / cone.radius).max(LEAST_EXCESS)
+    let moments = pool(arcs.clone(), |arc| Model::Cone(first).weight(arc)).normalized()?;
+    fit_surface(&moments, &first.surface, most).map(|fit| Model::Cone(upright(fit)))
 }
 
 /// The same cone, its axis pointing away from the apex.
@@ -262,12 +270,12 @@ fn start<'a>(arcs: impl Iterator<Item = &'a Arc> + Clone, moments: &QuadricMomen
 
 /// The circle through all points as seen along an axis, and the mean square distance from it.
 fn round_about(moments: &QuadricMoments, axis: &Vector3) -> Option<(f64, Conical)> {
-    let frame = Conical { point: moments.origin, axis: *axis, radius: 1.0, slope: 0.0 };
-    let [u, v] = frame.across();
+    let [u, v] = across(axis);
     let ArcFit { circle, circle_square, .. } = moments.seen_along(&u, &v).fit();
     let [x, y] = circle.center.map(|offset| offset * moments.scale);
     let radius = (circle.radius * moments.scale).min(WIDEST);
-    radius.is_finite().then_some((circle_square, Conical { point: frame.point + u * x + v * y, radius, ..frame }))
+    let point = moments.origin + u * x + v * y;
+    radius.is_finite().then_some((circle_square, Conical { point, axis: *axis, radius, slope: 0.0 }))
 }
 
 #[cfg(test)]
@@ -307,7 +315,7 @@ mod tests {
         // Farther in everywhere by so much, across its surface.
         fit.surface.0 = Conical { radius: cone.radius - depth / cone.half_angle().cos(), ..cone };
         let model = Model::Cone(fit);
-        let excesses: Vec<_> = arcs.of(&rows).map(|arc| model.excess(arc).unwrap()).collect();
+        let excesses: Vec<_> = arcs.of(&rows).map(|arc| model.excess(arc)).collect();
         assert!(excesses.iter().any(|excess| *excess < 0.8) && excesses.iter().any(|excess| *excess > 1.3));
         for arc in arcs.of(&rows) {
             let Misfit { square, mean } = model.misfit(&model.coefficients(), arc).unwrap();

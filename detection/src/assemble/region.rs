@@ -51,7 +51,8 @@ impl<'a> Region<'a> {
 
     /// Place of a point along the axis, counted from the surface's point; 0 for a sphere.
     pub fn along(&self, point: &Vector3) -> f64 {
-        self.model.conical().map_or(0.0, |surface| surface.axis.dot(&(point - surface.point)))
+        let (origin, axis) = self.model.axis();
+        axis.dot(&(point - origin))
     }
 
     /// From where to where the means of its arcs lie along the axis.

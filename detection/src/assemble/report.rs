@@ -60,7 +60,6 @@ pub(super) fn report(region: &Region, measured: &Measured) -> Object {
         Model::Cylinder(fit) => {
             let covariance = covariance(region, fit);
             let surface = fit.surface.0;
-            let covariance = covariance.fixed_view::<5, 5>(0, 0).into_owned();
             let sigma = conical_sigma(&surface, &covariance, measured, end(&surface));
             let length = measured.extent[1] - measured.extent[0];
             Object { radius: surface.radius, axis: surface.axis.into(), length, sigma, ..object }
@@ -154,7 +153,7 @@ fn covariance<S: Surface<N>, const N: usize>(region: &Region, fit: &SurfaceFit<S
     let stride = region.members.len().div_ceil(ARCS);
     let mut noise = GradientNoise::new(&fit.surface);
     for arc in region.arcs().step_by(stride) {
-        let weight = 1.0 / (arc.variance * region.model.excess(arc).unwrap_or(1.0).powi(2));
+        let weight = region.model.weight(arc);
         let along_z = arc.variance / arc.plane.stretch().powi(2);
         let section = section_of(&q, &arc.plane);
         let share = stride as f64 * region.shared_lines() * arc.points / SAMPLES as f64;

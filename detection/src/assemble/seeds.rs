@@ -6,7 +6,7 @@ use super::arcs::{Arc, Arcs};
 use super::rejection::{Rejection, Rejections};
 use super::verify::{self, Candidate};
 use conicflow_messages::Object;
-use std::cmp::Ordering;
+use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 use std::time::Instant;
 
@@ -22,8 +22,9 @@ const SPARE_SQUARE: f64 = 4.0; // [sigmas]
 /// The order in which arcs are tried; its buffers are used again for the next image.
 #[derive(Debug, Default)]
 pub(crate) struct Seeds {
-    /// The arcs that were not looked at yet, each as good a seed as it was when it was put here.
-    order: BinaryHeap<Seed>,
+    /// The arcs that were not looked at yet: how good a seed each was when it was put here, and its index. Of two alike that of
+    /// the lower index comes first.
+    order: BinaryHeap<(u64, Reverse<usize>)>,
     /// How many were tried in vain.
     vain: usize,
     /// How many of these hang together with each arc.
@@ -37,35 +38,11 @@ pub(crate) struct Seeds {
     reached: Vec<bool>,
 }
 
-/// How good a seed an arc is, and its index: the better one comes first, of two alike the one of the lower index.
-#[derive(Clone, Copy, Debug)]
-struct Seed(f64, usize);
-
 /// How good a seed an arc is of whose surface so many were tried in vain: by how many standard deviations it is curved, times the
-/// chance that something grows there, by Laplace's rule of succession.
-fn worth(arc: &Arc, vain: u32) -> f64 {
-    arc.bulge.sqrt() / f64::from(2 + vain)
+/// chance that something grows there, by Laplace's rule of succession. The bits of numbers that are not negative have their order.
+fn worth(arc: &Arc, vain: u32) -> u64 {
+    (arc.bulge.sqrt() / f64::from(2 + vain)).to_bits()
 }
-
-impl Ord for Seed {
-    fn cmp(&self, other: &Self) -> Ordering {
-        self.0.total_cmp(&other.0).then(other.1.cmp(&self.1))
-    }
-}
-
-impl PartialOrd for Seed {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl PartialEq for Seed {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other).is_eq()
-    }
-}
-
-impl Eq for Seed {}
 
 impl Seeds {
     /// Begins with the arcs of another image.
@@ -73,7 +50,7 @@ impl Seeds {
         let arcs = &arcs.arcs;
         (self.vain, self.deadline) = (0, deadline);
         self.order.clear();
-        self.order.extend(arcs.iter().zip(0..).map(|(arc, index)| Seed(worth(arc, 0), index)));
+        self.order.extend(arcs.iter().zip(0..).map(|(arc, index)| (worth(arc, 0), Reverse(index))));
         self.vain_beside.clear();
         self.vain_beside.resize(arcs.len(), 0);
         for flags in [&mut self.taken, &mut self.tried] {
@@ -89,14 +66,14 @@ impl Seeds {
             rejections.count(Rejection::Late);
         }
         let Self { order, vain_beside, taken, tried, .. } = self;
-        let is_left = |Seed(_, arc): &Seed| !taken[*arc] && !tried[*arc];
+        let is_left = |(_, Reverse(arc)): &(u64, Reverse<usize>)| !taken[*arc] && !tried[*arc];
         if is_late || self.vain >= MAX_VAIN {
             order.drain().filter(is_left).for_each(|_| rejections.count(Rejection::Untried));
         }
-        while let Some(Seed(known, arc)) = std::iter::from_fn(|| order.pop()).find(is_left) {
+        while let Some((known, Reverse(arc))) = std::iter::from_fn(|| order.pop()).find(is_left) {
             let now = worth(&arcs.arcs[arc], vain_beside[arc]);
             if now < known {
-                order.push(Seed(now, arc));
+                order.push((now, Reverse(arc)));
             } else {
                 return Some(arc);
             }

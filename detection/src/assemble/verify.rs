@@ -180,12 +180,8 @@ fn is_sharp(region: &Region, parameters: &AssemblerParameters) -> bool {
 
 /// The point of the axis in the middle of what is seen, or the centre.
 pub(super) fn middle(region: &Region, measured: &Measured) -> Vector3 {
-    match &region.model {
-        Model::Sphere(fit) => fit.surface.center,
-        other => other.conical().map_or(Vector3::zeros(), |surface| {
-            surface.point + surface.axis * (0.5 * (measured.extent[0] + measured.extent[1]))
-        }),
-    }
+    let (point, axis) = region.model.axis();
+    point + axis * (0.5 * (measured.extent[0] + measured.extent[1]))
 }
 
 fn measure(region: &Region) -> Measured {
@@ -209,8 +205,9 @@ fn measure(region: &Region) -> Measured {
         let sure = [arc.rays[0] + inset, arc.rays[1] - inset].map(hit);
         for point in sure.into_iter().flatten().chain([arc.mean]) {
             let along = match (&region.model, arc.scan) {
+                (Model::Sphere(_), Scan::Row) => point.y,
                 (Model::Sphere(_), Scan::Column) => point.x,
-                (model, _) => position(model, &point),
+                _ => region.along(&point),
             };
             extent = [extent[0].min(along), extent[1].max(along)];
         }
@@ -231,14 +228,6 @@ fn apex(model: &Model) -> f64 {
     match model {
         Model::Cone(fit) if fit.surface.0.slope > 0.0 => -fit.surface.0.radius / fit.surface.0.slope,
         _ => f64::NEG_INFINITY,
-    }
-}
-
-/// Place of a point along the axis; of a sphere, across its arcs.
-fn position(model: &Model, point: &Vector3) -> f64 {
-    match model.conical() {
-        Some(surface) => surface.axis.dot(&(point - surface.point)),
-        None => point.y,
     }
 }
 

@@ -76,10 +76,11 @@ fn arc(
     moments: &ArcMoments,
 ) -> Result<Ellipse, ArcRejection> {
     let contour = contour(rays, segment);
-    let fit = circle(rays, segment, &points, moments, moments.fit()).or_else(|why| {
+    let is_set_off = contour != [0.0; 2] || is_whole(rays, segment);
+    let fit = circle(rays, is_set_off, &points, moments, moments.fit()).or_else(|why| {
         if may_be_part(rays, segment, &points, contour) { Ok(nearly_flat(moments)) } else { Err(why) }
     })?;
-    let (points, fit, moments) = with_ends(rays, segment, &points, &fit.circle).unwrap_or_else(|| {
+    let (points, fit, moments) = with_ends(rays, segment, is_set_off, &points, &fit.circle).unwrap_or_else(|| {
         let moments = all_moments(rays, &points);
         (points, fit, moments)
     });
@@ -92,16 +93,15 @@ fn all_moments(rays: &Rays, points: &Range<usize>) -> PlaneMoments {
     moments.mean().map_or(moments, |mean| moments.about(mean))
 }
 
-/// The circle through the points of a segment, or why it is none of an object.
+/// The circle through the points of a segment, which may be set off from what is beside it, or why it is none of an object.
 fn circle(
     rays: &Rays,
-    segment: &Segment,
+    is_set_off: bool,
     points: &Range<usize>,
     moments: &ArcMoments,
     fit: ArcFit,
 ) -> Result<ArcFit, ArcRejection> {
     let parameters = &rays.view.parameters;
-    let is_set_off = is_whole(rays, segment) || contour(rays, segment) != [0.0; 2];
     let sigmas = if !is_set_off {
         CURVED
     } else if points.len() >= WEAK {
@@ -184,6 +184,7 @@ fn trimmed(run: &Run, segment: &Segment) -> Range<usize> {
 fn with_ends(
     rays: &Rays,
     segment: &Segment,
+    is_set_off: bool,
     points: &Range<usize>,
     circle: &Circle,
 ) -> Option<(Range<usize>, ArcFit, PlaneMoments)> {
@@ -206,7 +207,7 @@ fn with_ends(
     if fit.circle_square > rays.limit(wider.start, wider.end) {
         return None;
     }
-    let fit = match self::circle(rays, segment, &wider, &sums, fit) {
+    let fit = match self::circle(rays, is_set_off, &wider, &sums, fit) {
         Err(_) if circle.radius >= STRAIGHT_M => nearly_flat(&sums),
         fit => fit.ok()?,
     };

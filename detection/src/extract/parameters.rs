@@ -35,7 +35,8 @@ impl ScanLines {
 pub struct ExtractorParameters {
     /// Scan lines to look at: `rows`, `columns` (for objects that lie) or `both`.
     pub scan: ScanLines,
-    /// Looks at every n-th scan line; of images of 960 rows and more that are so noisy that lines are averaged, at half of these.
+    /// Looks at every n-th scan line; of images of 960 rows and more that are so noisy that five lines are averaged, at half of
+    /// these.
     #[schemars(range(min = 1, max = 64))]
     pub line_step: u32,
     /// Number of missing pixels that are bridged inside a run.

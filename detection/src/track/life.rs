@@ -1,17 +1,7 @@
 //! The life of a track: born at the first sight, confirmed by enough sights, coasting while unseen, lost in the end.
 
+use super::parameters::TrackerParameters;
 use conicflow_messages::TrackState;
-
-/// When a track is confirmed and when it is lost.
-#[derive(Clone, Copy, Debug)]
-pub struct Rules {
-    /// Sights that confirm a track,
-    pub hits: u32,
-    /// within this many frames.
-    pub window: u32,
-    /// How long a confirmed track stays without a sight, in seconds.
-    pub max_coast_s: f64,
-}
 
 /// What became of a track so far.
 #[derive(Clone, Debug)]
@@ -31,8 +21,9 @@ pub struct Life {
 
 impl Life {
     /// A track at its first sight.
-    pub fn born(rules: &Rules) -> Self {
-        Self { age: 0, misses: 0, unseen_s: 0.0, unwatched_s: 0.0, needed: rules.hits.saturating_sub(1) }
+    pub fn born(parameters: &TrackerParameters) -> Self {
+        let needed = parameters.confirm_hits.saturating_sub(1);
+        Self { age: 0, misses: 0, unseen_s: 0.0, unwatched_s: 0.0, needed }
     }
 
     /// One more frame, in which it was seen.
@@ -57,12 +48,13 @@ impl Life {
     }
 
     /// Whether it is to be given up: unseen for too long, or no longer able to be confirmed, or left by its camera.
-    pub fn is_lost(&self, rules: &Rules) -> bool {
+    pub fn is_lost(&self, parameters: &TrackerParameters) -> bool {
+        let TrackerParameters { confirm_window, max_coast_s, .. } = *parameters;
         if self.needed == 0 {
-            return self.unseen_s > rules.max_coast_s;
+            return self.unseen_s > max_coast_s;
         }
-        let left = rules.window.saturating_sub(self.age.saturating_add(1));
-        self.needed > left || self.unwatched_s > rules.max_coast_s
+        let left = confirm_window.saturating_sub(self.age.saturating_add(1));
+        self.needed > left || self.unwatched_s > max_coast_s
     }
 
     /// How far it is to be trusted.
@@ -79,17 +71,21 @@ impl Life {
 mod tests {
     use super::*;
 
-    const RULES: Rules = Rules { hits: 3, window: 5, max_coast_s: 0.25 };
+    /// A window of frames, and the sights in it that confirm a track.
+    fn rules(confirm_hits: u32, confirm_window: u32) -> TrackerParameters {
+        TrackerParameters { confirm_hits, confirm_window, max_coast_s: 0.25, ..TrackerParameters::default() }
+    }
 
     /// States after each frame of `sights` behind the first; `None` once it is lost. Frames are 0.1 s apart.
     fn live(sights: &str) -> Vec<Option<TrackState>> {
-        let mut life = Life::born(&RULES);
+        let rules = rules(3, 5);
+        let mut life = Life::born(&rules);
         let step = |sight: char| {
             match sight {
                 'x' => life.seen(),
                 _ => life.missed(0.1),
             }
-            (!life.is_lost(&RULES)).then(|| life.state())
+            (!life.is_lost(&rules)).then(|| life.state())
         };
         sights.chars().map(step).collect()
     }
@@ -112,7 +108,7 @@ mod tests {
     #[test]
     fn a_track_is_confirmed_by_enough_sights_of_any_window_and_lost_when_none_can_have_them() {
         for (window, hits) in (1..=6).flat_map(|window| (1..=window).map(move |hits| (window, hits))) {
-            let rules = Rules { hits, window, max_coast_s: f64::INFINITY };
+            let rules = TrackerParameters { max_coast_s: f64::INFINITY, ..rules(hits, window) };
             for frames in 0..1 << 9_u32 {
                 let (mut life, mut history, mut was_confirmed) = (Life::born(&rules), vec![true], hits == 1);
                 for is_seen in (0..9).map(|frame| frames >> frame & 1 == 1) {
@@ -145,7 +141,7 @@ mod tests {
     #[test]
     fn frames_of_other_cameras_are_no_misses_but_take_time() {
         for (hits, state) in [(1, TrackState::Confirmed), (3, TrackState::Tentative)] {
-            let rules = Rules { hits, ..RULES };
+            let rules = rules(hits, 5);
             let mut life = Life::born(&rules);
             (0..2).for_each(|_| life.unwatched(0.125));
             assert_eq!((life.misses, life.state(), life.is_lost(&rules)), (0, state, false));
@@ -158,11 +154,12 @@ mod tests {
 
     #[test]
     fn a_window_of_32_frames_and_one_of_one_frame_work() {
-        let mut life = Life::born(&Rules { window: 32, ..RULES });
+        let wide = rules(3, 32);
+        let mut life = Life::born(&wide);
         assert!((0..100).all(|_| {
             life.seen();
-            !life.is_lost(&Rules { window: 32, ..RULES })
+            !life.is_lost(&wide)
         }));
-        assert_eq!(Life::born(&Rules { hits: 1, window: 1, ..RULES }).state(), TrackState::Confirmed);
+        assert_eq!(Life::born(&rules(1, 1)).state(), TrackState::Confirmed);
     }
 }

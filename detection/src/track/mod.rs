@@ -184,8 +184,7 @@ impl Tracker {
                 self.confirmed.push(target.kind);
             }
         }
-        let rules = self.parameters.rules();
-        self.targets.retain(|target| !target.life.is_lost(&rules));
+        self.targets.retain(|target| !target.life.is_lost(&self.parameters));
     }
 
     fn give_birth(&mut self, time: &Advance) {

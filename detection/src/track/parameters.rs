@@ -1,7 +1,6 @@
 //! The parameters of the tracker.
 
 use super::ballistic::Ballistic;
-use super::life::Rules;
 use crate::gravity;
 use conicflow_messages::ConfigFault;
 use schemars::JsonSchema;
@@ -125,11 +124,6 @@ impl TrackerParameters {
         let what = format!("{hits} sights cannot fall within {window} frames");
         let hint = format!("set `confirm_window` to at least {hits}, or `confirm_hits` to at most {window}");
         (hits > window).then_some(ConfigFault { key: "confirm_hits", what, hint })
-    }
-
-    /// When a track is confirmed and when it is lost.
-    pub fn rules(&self) -> Rules {
-        Rules { hits: self.confirm_hits, window: self.confirm_window, max_coast_s: self.max_coast_s }
     }
 }
 

@@ -76,7 +76,7 @@ impl Target {
         Self {
             id,
             kind: first.kind,
-            life: Life::born(&config.rules()),
+            life: Life::born(config),
             votes,
             motion: Motion::new(first.position, first.covariance, config.initial_speed_mps),
             fall: Fall::default(),

@@ -1,7 +1,6 @@
 //! Parameters of `method = "profile"`, the paper's.
 
 use conicflow_detection::AssemblerParameters;
-use conicflow_messages::ConfigFault;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -114,12 +113,5 @@ impl ProfileConfig {
     pub fn of_the_paper() -> Self {
         let profile = ProfileParameters { section_fit: SectionFit::Ellipse, ..ProfileParameters::default() };
         Self { common: AssemblerParameters::default(), profile }
-    }
-
-    /// What is wrong with the parameters although each is in its range.
-    pub fn faults(&self) -> Vec<ConfigFault> {
-        let mut faults = self.common.faults();
-        faults.extend(self.common.fault_of_half_angle("profile", self.profile.min_half_angle_deg));
-        faults
     }
 }

@@ -2,7 +2,7 @@ use super::*;
 use crate::paper::extractor::{ConicConfig, ConicExtractor};
 use crate::rendered::{KINECT_HALF, cylinder, frustum, plane, render, sphere};
 use crate::simulator::shapes::Shape;
-use conicflow_detection::assemble::{AxialLimits, PooledParameters, RadiusLimits};
+use conicflow_detection::assemble::AxialLimits;
 use conicflow_detection::{Assembler, AssemblerParameters, Extractor, ExtractorParameters};
 use conicflow_geometry::Vector3;
 use conicflow_messages::{Camera, Item, NoiseModel, ObjectKind};
@@ -251,21 +251,4 @@ fn a_candidate_beyond_the_limits_is_counted() {
             assert!(objects.is_empty() && reasons.contains(&reason), "{reason}: {objects:?}");
         }
     }
-}
-
-#[test]
-fn limits_that_exclude_each_other_are_faults() {
-    let common = AssemblerParameters {
-        sphere: RadiusLimits { min_m: 0.5, max_m: 0.1 },
-        cone: AxialLimits { min_m: 0.1, max_m: 0.2, min_length_m: 2.0, max_length_m: 1.0 },
-        max_half_angle_deg: 20.0,
-        pooled: PooledParameters::default(),
-        ..AssemblerParameters::default()
-    };
-    let profile = ProfileParameters { min_half_angle_deg: 40.0, ..ProfileParameters::default() };
-    let keys: Vec<_> = ProfileConfig { common, profile }.faults().into_iter().map(|fault| fault.key).collect();
-    assert_eq!(keys, ["sphere", "cone", "profile"]);
-    assert_eq!(ProfileConfig::default().faults(), []);
-    let common = AssemblerParameters { max_half_angle_deg: 2.0, ..AssemblerParameters::default() };
-    assert_eq!(common.fault_of_half_angle("pooled", common.pooled.min_half_angle_deg).unwrap().key, "pooled");
 }
