@@ -94,9 +94,17 @@ def main(endpoint, pipeline, machine, topic):
     config.insert_json5("listen/endpoints", "[]")
     config.insert_json5("connect/endpoints", json.dumps([endpoint]))
     done = threading.Event()
-    newest = (None, 0)
+    newest, failure = (None, 0), None
 
     def receive(sample):
+        nonlocal failure
+        try:
+            look_at(sample)
+        except Exception as error:  # who reads the lines has gone, or the message is of another version
+            failure = error
+            done.set()
+
+    def look_at(sample):
         nonlocal newest
         stream, number, message, ended = read_message(sample.payload.to_bytes())
         if stream == newest[0] and number <= newest[1]:
@@ -114,6 +122,8 @@ def main(endpoint, pipeline, machine, topic):
         print("listening", file=sys.stderr, flush=True)
         done.wait()
         subscriber.undeclare()
+    if failure is not None:
+        sys.exit(f"error: {failure}")
 
 
 if __name__ == "__main__":

@@ -12,8 +12,10 @@ use crate::sending::{Sending, Shared};
 use crate::session::{Publisher, Sessions, Subscriber};
 use crate::settings;
 use crate::wire::seal::Seal;
+use conicflow_dataflow::pipeline::check_host;
 use conicflow_dataflow::relay::{MemoryTrim, Peers, SharedMemory, StageRuntime, StatusFile};
 use conicflow_dataflow::{BridgePlan, BridgeRun, Life, NO_RUN, Stop, unix_ns};
+use conicflow_messages::Hinted;
 use std::sync::Arc;
 use std::thread::{Scope, ScopedJoinHandle};
 use std::time::{Duration, Instant};
@@ -62,6 +64,7 @@ fn carry(
         handshakes::tell();
         reporter.report(false);
     };
+    look_up(&bridge.settings.connect);
     let Some(sessions) = Sessions::open(&bridge.settings, stop, &mut failed)? else { return Ok(()) };
     let shared = Shared {
         sessions: &sessions,
@@ -87,6 +90,15 @@ fn carry(
     watch.reporter.record.status.set_life(life);
     watch.reporter.report(sessions.reach_anybody());
     result
+}
+
+/// Tells of hosts that have no address, which may take seconds to find out: nobody waits for it.
+fn look_up(connect: &[String]) {
+    let endpoints = connect.to_vec();
+    std::thread::spawn(move || {
+        let faults = endpoints.iter().filter_map(|endpoint| check_host(endpoint).err());
+        faults.for_each(|Hinted { what, hint, .. }| tracing::warn!("{what}\n  hint: {hint}"));
+    });
 }
 
 fn heartbeat_key(pipeline: &str, machine: &str) -> String {

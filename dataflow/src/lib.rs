@@ -42,7 +42,7 @@ pub mod testing {
 
 /// What the network part of a program is built of: the ends of topics as a stage has them, and what it tells of itself.
 pub mod relay {
-    pub use crate::link_report::write_links;
+    pub use crate::link_report::{read_links, write_links};
     pub use crate::log::ThrottledWarning;
     pub use crate::ports::shared_memory::{SharedMemory, SharedReader, SharedWriter};
     pub use crate::runner::input_port::InputPort;

@@ -111,7 +111,7 @@ pub fn write_links(folder: &Path, run: u64, links: &[LinkReport]) -> io::Result<
 }
 
 /// Reads the report of a run; empty if there is none.
-pub(crate) fn read_links(folder: &Path, run: u64) -> Vec<LinkReport> {
+pub fn read_links(folder: &Path, run: u64) -> Vec<LinkReport> {
     let text = std::fs::read(path(folder)).unwrap_or_default();
     let report = serde_json::from_slice::<Report>(&text).ok().filter(|report| report.run == run);
     report.map(|report| report.links).unwrap_or_default()

@@ -221,6 +221,8 @@ pub trait Source: Sized {
 pub enum Next {
     /// A message was written.
     Message,
+    /// There is none yet; what was counted is kept, and the source is asked again at once.
+    Later,
     /// There is none, and there will be no more.
     End,
 }

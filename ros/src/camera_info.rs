@@ -18,8 +18,10 @@ pub struct CameraInfo {
     pub p: [f64; 12],
     /// Pixels of the full image in one of the image, across and down; 0 stands for 1.
     pub binning: [u32; 2],
-    /// Where in the full image the image begins: x, y.
+    /// Where in the full image the region begins that the image shows: x, y.
     pub offset: [u32; 2],
+    /// Size of that region: width, height; 0 stands for all that is left of the full image.
+    pub region: [u32; 2],
 }
 
 /// An image that is distorted, so that it is not that of a pinhole.
@@ -50,7 +52,8 @@ impl CameraInfo {
         let (k, _, p) = (reader.f64s()?, reader.f64s::<9>()?, reader.f64s()?);
         let binning = [reader.u32()?, reader.u32()?];
         let offset = [reader.u32()?, reader.u32()?];
-        Ok(Self { width, height, distortion, k, p, binning, offset })
+        let [region_height, region_width] = [reader.u32()?, reader.u32()?];
+        Ok(Self { width, height, distortion, k, p, binning, offset, region: [region_width, region_height] })
     }
 
     /// The camera of images of this size: of rectified ones by the projection, of raw ones by the intrinsics, if these have no
@@ -74,14 +77,22 @@ impl CameraInfo {
         Ok(Camera { width, height, fx: fx / bin_x, fy: fy / bin_y, cx: (cx - x) / bin_x, cy: (cy - y) / bin_y })
     }
 
-    /// Whether images of this size can be those of the camera, a region of the full image at most.
+    /// Whether images of this size are those of the camera: of its full image or of the region, in its bins. A bin at the edge may
+    /// be left out or not.
     ///
     /// # Errors
-    /// They are larger; width and height of the full image, in its bins.
+    /// They are of another size; width and height of those that it is for.
     pub fn fits(&self, (width, height): (u32, u32)) -> Result<(), (u32, u32)> {
-        let [full_width, full_height] = [(self.width, self.binning[0]), (self.height, self.binning[1])]
-            .map(|(pixels, bin)| pixels.max(1) / bin.max(1));
-        if width <= full_width && height <= full_height { Ok(()) } else { Err((full_width, full_height)) }
+        let along = |full: u32, axis: usize| match self.region[axis] {
+            0 => full.saturating_sub(self.offset[axis]),
+            pixels => pixels,
+        };
+        let pixels = [along(self.width, 0), along(self.height, 1)];
+        let bins = self.binning.map(|pixels| pixels.max(1));
+        let is_one =
+            |axis: usize, size: u32| (pixels[axis] / bins[axis]..=pixels[axis].div_ceil(bins[axis])).contains(&size);
+        let expected = (pixels[0] / bins[0], pixels[1] / bins[1]);
+        if is_one(0, width) && is_one(1, height) { Ok(()) } else { Err(expected) }
     }
 
     /// A message for the rectified image of a camera.
@@ -145,7 +156,32 @@ mod tests {
         let info = CameraInfo { binning: [2, 0], offset: [4, 8], ..info() };
         let expected = Camera { width: 30, height: 40, fx: 26.25, fy: 52.0, cx: 13.75, cy: 15.25 };
         assert_eq!(info.camera((30, 40), false), Ok(expected));
-        assert_eq!((info.fits((32, 48)), info.fits((33, 48))), (Ok(()), Err((32, 48))));
+    }
+
+    #[test]
+    fn images_are_as_large_as_the_region_in_bins_or_as_all_of_the_image_where_there_is_none() {
+        let all = info();
+        assert_eq!(
+            (all.fits((64, 48)), all.fits((32, 24)), all.fits((65, 48))),
+            (Ok(()), Err((64, 48)), Err((64, 48)))
+        );
+        let rest = CameraInfo { binning: [2, 0], offset: [4, 8], ..info() };
+        assert_eq!((rest.fits((30, 40)), rest.fits((32, 48))), (Ok(()), Err((30, 40))));
+        let region = CameraInfo { region: [21, 10], ..rest };
+        assert_eq!([(10, 10), (11, 10)].map(|size| region.fits(size)), [Ok(()); 2]);
+        assert_eq!([(9, 10), (10, 9), (12, 10)].map(|size| region.fits(size)), [Err((10, 10)); 3]);
+    }
+
+    #[test]
+    fn the_region_is_read_as_width_and_height() {
+        let mut message = CameraInfo::write(Stamped::default(), &CAMERA, Vec::new());
+        // The last numbers are x, y, height and width of the region, and whether it is rectified.
+        let at = message.len() - 17;
+        for (place, number) in (at..).step_by(4).zip([1_u32, 2, 3, 4]) {
+            message[place..place + 4].copy_from_slice(&number.to_le_bytes());
+        }
+        let info = CameraInfo::read(&message).unwrap();
+        assert_eq!((info.offset, info.region), ([1, 2], [4, 3]));
     }
 
     #[test]

@@ -17,6 +17,7 @@ use conicflow_messages::{Camera, HAS_POSE, Header, Hinted, Text};
 use conicflow_ros::{CAMERA_INFO, Stamped, TF_MESSAGE, Transforms, camera_info_topics};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -27,8 +28,10 @@ const WITHOUT_POSE: &str = "frames without pose";
 const INFOS_UNREADABLE: &str = "CameraInfo unreadable";
 const TRANSFORMS_UNREADABLE: &str = "transforms unreadable";
 
-/// Images that wait at most: the pipeline takes them at once, unless it is lossless and slow.
+/// Images that wait at most to be looked at: the pipeline takes them at once, unless it is lossless and slow.
 const IMAGES_WAITING: usize = 4;
+/// Images that wait at most for their poses: those of 0.2 s at 90 Hz.
+const MOST_WITHOUT_POSE: usize = 18;
 /// Transforms that wait at most: those of some seconds.
 const TRANSFORMS_WAITING: usize = 4096;
 /// An image waits so long for what tells its camera, and for the transforms of its time.
@@ -108,6 +111,14 @@ impl SourceConfig {
     }
 }
 
+/// An image that came.
+struct Waiting {
+    message: Vec<u8>,
+    came: Instant,
+    /// The same, in nanoseconds since 1970.
+    came_ns: u64,
+}
+
 /// Takes depth images from a topic of ROS 2.
 pub struct Ros2Source<M> {
     middleware: M,
@@ -118,8 +129,12 @@ pub struct Ros2Source<M> {
     config: SourceConfig,
     cameras: Cameras,
     transforms: Transforms,
-    /// An image that came, and when.
-    waiting: Option<(Vec<u8>, Instant)>,
+    /// The images that came and could not be sent yet, in their order.
+    waiting: VecDeque<Waiting>,
+    /// Since when images come whose camera nobody has told.
+    without_camera: Option<Instant>,
+    /// Since when frames go without the pose that is wanted.
+    without_pose: Option<Instant>,
     /// The camera whose clouds were found to be its own.
     checked: Option<Camera>,
     notices: Notices,
@@ -162,7 +177,9 @@ impl<M: Middleware> Source for Ros2Source<M> {
             cameras: Cameras::new(&topic, config.intrinsics),
             config,
             transforms: Transforms::live(),
-            waiting: None,
+            waiting: VecDeque::new(),
+            without_camera: None,
+            without_pose: None,
             checked: None,
             notices: Notices::default(),
             heard: (Instant::now(), false),
@@ -172,43 +189,53 @@ impl<M: Middleware> Source for Ros2Source<M> {
     }
 
     fn next(&mut self, _: &SideInputs, output: &mut Output<u16>) -> Result<Next, StageError> {
-        while !self.stop.requested() {
-            let is_joined = self.link.look(&self.middleware);
-            self.take_image(output);
-            self.learn(output);
-            let Some((message, came)) = self.waiting.take() else {
-                self.tell_silence(is_joined);
-                continue;
-            };
-            match self.frame(&message, came.elapsed()) {
-                Ok(Some((header, pixels))) => {
-                    output.header = header;
-                    output.image(pixels.len())?.copy_from_slice(&pixels);
-                    output.count(WITHOUT_POSE, u64::from(self.config.world.is_some() && header.pose().is_none()));
-                    return Ok(Next::Message);
-                }
-                Ok(None) => self.waiting = Some((message, came)),
-                Err(fault) => self.notice(&fault, output),
-            }
+        if self.stop.requested() {
+            return Ok(Next::End);
         }
-        Ok(Next::End)
+        let is_joined = self.link.look(&self.middleware);
+        self.take_image(output);
+        self.learn(output);
+        let Some(image) = self.waiting.pop_front() else {
+            self.tell_silence(is_joined);
+            return Ok(Next::Later);
+        };
+        match self.frame(&image) {
+            Ok(Some((header, pixels))) => {
+                output.header = header;
+                output.image(pixels.len())?.copy_from_slice(&pixels);
+                self.look_for_pose(&header, output);
+                return Ok(Next::Message);
+            }
+            Ok(None) => self.waiting.push_front(image),
+            Err(fault) => self.notice(&fault, output),
+        }
+        Ok(Next::Later)
     }
 }
 
 impl<M: Middleware> Ros2Source<M> {
-    /// Takes the next image, as soon as there is one; one that still waits makes room.
+    /// Takes the next image, as soon as there is one. Of those whose camera is not known the newest alone waits.
     fn take_image(&mut self, output: &mut Output<u16>) {
-        let look = if self.waiting.is_some() { LOOK_AGAIN } else { LOOK };
-        let came = self.middleware.receive(IMAGES, look).map(|message| (message, Instant::now()));
+        let look = if self.waiting.is_empty() { LOOK } else { LOOK_AGAIN };
+        let came = self.middleware.receive(IMAGES, look);
         output.count(LOST, self.middleware.take_lost(IMAGES));
-        if came.is_none() {
-            return;
-        }
-        if std::mem::replace(&mut self.heard, (Instant::now(), false)).1 {
+        let Some(message) = came else { return };
+        let came = Instant::now();
+        if std::mem::replace(&mut self.heard, (came, false)).1 {
             tracing::info!("images come on `{}`", self.ends[IMAGES].topic);
         }
-        output.count(LOST, u64::from(self.waiting.is_some()));
-        self.waiting = came;
+        if !self.cameras.are_known() {
+            output.count(WITHOUT_CAMERA, self.waiting.drain(..).count() as u64);
+        }
+        self.waiting.push_back(Waiting { message, came, came_ns: unix_ns() });
+    }
+
+    /// Whether it is not known yet what the camera is, and may still be told.
+    fn awaits_camera(&mut self) -> bool {
+        if self.cameras.are_known() {
+            return false;
+        }
+        self.without_camera.get_or_insert_with(Instant::now).elapsed() < PATIENCE_WITH_CAMERA
     }
 
     /// Takes in what has come of cameras and frames of coordinates.
@@ -230,18 +257,20 @@ impl<M: Middleware> Ros2Source<M> {
         }
     }
 
-    /// The frame of a message that came so long ago; none while something that tells of it may still come.
-    fn frame(&mut self, message: &[u8], age: Duration) -> Result<Option<(Header, Vec<u16>)>, Fault> {
+    /// The frame of an image; none while something that tells of it may still come.
+    fn frame(&mut self, image: &Waiting) -> Result<Option<(Header, Vec<u16>)>, Fault> {
         let topic = self.ends[IMAGES].topic.clone();
-        let picture = Picture::read(self.kind, message).map_err(|error| unreadable(UNREADABLE, &topic, &error))?;
-        if !self.cameras.are_known() && age < PATIENCE_WITH_CAMERA {
+        let picture =
+            Picture::read(self.kind, &image.message).map_err(|error| unreadable(UNREADABLE, &topic, &error))?;
+        if self.awaits_camera() {
             return Ok(None);
         }
         // A driver that knows no time leaves it at zero.
         let stamped = picture.stamped();
-        let stamp_ns = if stamped.stamp_ns > 0 { stamped.stamp_ns } else { unix_ns() };
+        let stamp_ns = if stamped.stamp_ns > 0 { stamped.stamp_ns } else { image.came_ns };
         let pose = self.pose(&Stamped { stamp_ns, ..stamped });
-        if pose.is_none() && self.config.world.is_some() && age < PATIENCE_WITH_POSE {
+        let may_come = image.came.elapsed() < PATIENCE_WITH_POSE && self.waiting.len() < MOST_WITHOUT_POSE;
+        if pose.is_none() && self.config.world.is_some() && may_come {
             return Ok(None);
         }
         let (size, depths) = picture.depths().map_err(|error| unreadable(UNREADABLE, &topic, &error))?;
@@ -282,6 +311,23 @@ impl<M: Middleware> Ros2Source<M> {
     /// Where the camera is, if that is wanted and known.
     fn pose(&self, stamped: &Stamped<'_>) -> Option<[[f64; 4]; 3]> {
         self.transforms.pose(self.config.world.as_deref()?, stamped.frame_id, stamped.stamp_ns)
+    }
+
+    /// Counts a frame without the pose that is wanted; told is it once, when frames have gone without for long.
+    fn look_for_pose(&mut self, header: &Header, output: &mut Output<u16>) {
+        let Some(world) = self.config.world.as_deref().filter(|_| header.pose().is_none()) else {
+            self.without_pose = None;
+            return;
+        };
+        output.count(WITHOUT_POSE, 1);
+        if self.without_pose.get_or_insert_with(Instant::now).elapsed() > SILENCE {
+            let frame = header.source.as_str().unwrap_or_default();
+            let what = format!("nothing tells where `{frame}` is in `{world}`: frames go without a pose");
+            self.notices.tell(&(
+                WITHOUT_POSE,
+                Hinted::new(what, format!("`ros2 run tf2_ros tf2_echo {world} {frame}` tells what is missing")),
+            ));
+        }
     }
 
     fn notice(&mut self, fault: &Fault, output: &mut Output<u16>) {

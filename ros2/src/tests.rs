@@ -9,6 +9,7 @@ use serde_json::json;
 use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 use std::sync::Mutex;
+use std::thread;
 use std::time::Duration;
 
 const CAMERA: Camera = Camera { width: 3, height: 2, fx: 52.5, fy: 52.0, cx: 1.0, cy: 0.5 };
@@ -38,15 +39,12 @@ impl Middleware for Scripted {
         true
     }
 
-    fn receive(&self, end: usize, _: Duration) -> Option<Vec<u8>> {
-        let mut scripts = SCRIPTS.lock().unwrap();
-        let incoming = scripts.get_mut(&self.name)?.0.get_mut(end)?;
-        let looks = &mut incoming.front_mut()?.0;
-        if *looks > 0 {
-            *looks -= 1;
-            return None;
+    fn receive(&self, end: usize, look: Duration) -> Option<Vec<u8>> {
+        let came = self.look(end);
+        if came.is_none() {
+            thread::sleep(look);
         }
-        Some(incoming.pop_front()?.1)
+        came
     }
 
     fn take_lost(&self, _: usize) -> u64 {
@@ -59,6 +57,19 @@ impl Middleware for Scripted {
 
     fn published(&self) -> Vec<Published> {
         self.topics.iter().map(|topic| (topic.clone(), "other/msg/Type".to_owned())).collect()
+    }
+}
+
+impl Scripted {
+    fn look(&self, end: usize) -> Option<Vec<u8>> {
+        let mut scripts = SCRIPTS.lock().unwrap();
+        let incoming = scripts.get_mut(&self.name)?.0.get_mut(end)?;
+        let looks = &mut incoming.front_mut()?.0;
+        if *looks > 0 {
+            *looks -= 1;
+            return None;
+        }
+        Some(incoming.pop_front()?.1)
     }
 }
 
@@ -152,11 +163,30 @@ fn the_camera_has_its_pose_where_transforms_tell_it() {
     assert!((told - 0.5).abs() < 1e-12, "{told}");
 }
 
+/// Transforms come by several images late, as those of a map do.
+#[test]
+fn as_many_images_wait_for_their_poses_as_come_meanwhile() {
+    let pose = |x| [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
+    let at = |number: u64| STAMPED.stamp_ns + number * 1_000_000;
+    let images =
+        (0..8).map(|number| write_units(Stamped { stamp_ns: at(number), ..STAMPED }, (3, 2), &PIXELS, Vec::new()));
+    let transform = |number: u64| {
+        let stamped = Stamped { stamp_ns: at(number), frame_id: "map" };
+        write_transform(stamped, STAMPED.frame_id, &pose(number as f64), Vec::new())
+    };
+    // An image comes at each look; the second transform when the last has come.
+    let dynamic = VecDeque::from([(0, transform(0)), (9, transform(7))]);
+    let incoming = vec![queue(images), queue([info()]), VecDeque::new(), dynamic];
+    let frames = frames("late", json!({ "world": "map" }), incoming, 8).unwrap();
+    let told = frames.iter().map(|(header, _)| (header.stamp_ns, header.pose().map(|pose| pose[0][3].round())));
+    assert!(told.eq((0..8).map(|number| (at(number), Some(number as f64)))), "{frames:?}");
+}
+
 #[test]
 fn frames_go_on_without_a_pose_that_nothing_tells() {
-    let incoming = vec![queue([image()]), queue([info()])];
-    let frames = frames("lost", json!({ "world": "map" }), incoming, 1).unwrap();
-    assert_eq!(frames[0].0.flags & HAS_POSE, 0);
+    let incoming = vec![queue(vec![image(); 40]), queue([info()])];
+    let frames = frames("lost", json!({ "world": "map" }), incoming, 40).unwrap();
+    assert!(frames.iter().all(|(header, _)| header.flags & HAS_POSE == 0));
 }
 
 #[test]

@@ -518,6 +518,34 @@ fn silence_is_told_with_what_there_is_instead() {
     run.end();
 }
 
+/// Images come at 50 Hz: none of them waits for the camera as long as that is waited for.
+#[test]
+fn images_whose_camera_nobody_tells_are_told_and_counted_while_nothing_is_sent() {
+    let (endpoint, _router, session) = behind_router();
+    let playground = Playground::with_pipeline(&by_ros(RECORDING, &endpoint));
+    let mut run = playground.start(&["run"]);
+    wait_for_token(&session, "/MS/%/%/conicflow_source/%camera%depth%image_rect_raw/");
+    let [mut topic, mut info] = camera_topics(&session);
+    let stamped = Stamped { stamp_ns: 1, frame_id: FRAME };
+    let mut publish = || {
+        topic.publish(wall(stamped));
+        std::thread::sleep(Duration::from_millis(20));
+    };
+    let counted = || playground.top_stage("source")["counters"]["frames without camera"].as_u64().unwrap_or(0);
+    run.wait_until("they are counted", || {
+        publish();
+        counted() > 60
+    });
+    run.wait_for_text("nothing tells the camera of `/camera/depth/image_rect_raw`");
+    assert!(playground.lines("objects.jsonl").is_empty());
+    run.wait_until("the camera is told", || {
+        info.publish(info_of(&SMALL, stamped));
+        publish();
+        playground.lines("objects.jsonl").len() > 3
+    });
+    run.end().expect_told(&["frames without camera"]);
+}
+
 #[test]
 fn messages_are_those_of_an_independent_reader() {
     let Some(python) = python_with("rosbags", "has no rosbags; nothing was shown") else { return };

@@ -27,6 +27,20 @@ pub(crate) struct EdgeCounts {
 }
 
 impl EdgeCounts {
+    /// Counts that go on where an earlier bridge of the run left them, as far as it told.
+    pub(crate) fn after(earlier: &EdgeReport) -> Self {
+        let &EdgeReport { messages, wire_bytes, memory_bytes, resent, stale, malformed, .. } = earlier;
+        Self {
+            messages: messages.into(),
+            wire_bytes: wire_bytes.into(),
+            memory_bytes: memory_bytes.into(),
+            resent: resent.into(),
+            stale: stale.into(),
+            malformed: malformed.into(),
+            ..Self::default()
+        }
+    }
+
     pub(crate) fn add(counter: &AtomicU64, count: u64) {
         counter.fetch_add(count, Ordering::Relaxed);
     }

@@ -2,7 +2,7 @@
 
 use super::counts::EdgeCounts;
 use super::links::{Links, PeerState};
-use conicflow_dataflow::relay::{StatusFile, write_links};
+use conicflow_dataflow::relay::{StatusFile, read_links, write_links};
 use conicflow_dataflow::{BridgePlan, BridgeRun, Edge, EdgeReport, InputCounts, LinkReport, LinkState};
 use conicflow_messages::Text;
 use std::sync::Arc;
@@ -25,9 +25,13 @@ impl EdgeHandle<'_> {
     }
 
     fn report(&mut self, seconds: f64) {
-        let direction = if self.outgoing { "out" } else { "in" };
-        self.reported = self.counts.report(&self.edge.topic.name, direction, &self.reported, seconds);
+        self.reported = self.counts.report(&self.edge.topic.name, way(self.outgoing), &self.reported, seconds);
     }
+}
+
+/// The word for the direction of an edge.
+fn way(outgoing: bool) -> &'static str {
+    if outgoing { "out" } else { "in" }
 }
 
 /// Writes the record and the links of a bridge.
@@ -41,8 +45,13 @@ pub(crate) struct BridgeReporter<'a> {
 
 impl<'a> BridgeReporter<'a> {
     pub(crate) fn new(bridge: &'a BridgePlan, run: BridgeRun<'a>, record: StatusFile, links: &'a Links) -> Self {
-        let handle =
-            |edge, outgoing| EdgeHandle { edge, outgoing, counts: Arc::default(), reported: EdgeReport::default() };
+        let links_before = read_links(run.folder, run.run);
+        let reports: Vec<_> = links_before.into_iter().flat_map(|link| link.edges).collect();
+        let handle = |edge: &'a Edge, outgoing| {
+            let is_it = |report: &&EdgeReport| report.topic == edge.topic.name && report.direction == way(outgoing);
+            let reported = reports.iter().find(is_it).cloned().unwrap_or_default();
+            EdgeHandle { edge, outgoing, counts: Arc::new(EdgeCounts::after(&reported)), reported }
+        };
         let outgoing = bridge.outgoing.iter().map(|edge| handle(edge, true));
         let edges = outgoing.chain(bridge.incoming.iter().map(|edge| handle(edge, false))).collect();
         Self { run, record, links, edges, reported: Instant::now() }

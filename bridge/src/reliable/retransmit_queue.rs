@@ -143,7 +143,9 @@ impl RetransmitQueue {
 
     /// Messages that a lossless receiver may not have got yet.
     pub(crate) fn unacknowledged(&self) -> u64 {
-        self.log.since(self.lacking(|_| true)).count() as u64
+        let lacking = self.lacking(|_| true);
+        let ends = self.ends.iter().filter(|end| end.number >= lacking).count();
+        self.log.since(lacking).count().saturating_sub(ends) as u64
     }
 
     /// Messages that a lossless receiver will not get if nothing is sent any more.
@@ -239,7 +241,8 @@ impl RetransmitQueue {
         let given_up: Vec<u64> = lossless().map(|remote| remote.expected).collect();
         while self.log.oldest().is_some_and(|number| number < needed) {
             let Some(number) = self.log.forget_first() else { break };
-            self.lost += u64::from(given_up.iter().any(|next| number >= *next));
+            let is_end = self.ends.iter().any(|end| end.number == number);
+            self.lost += u64::from(!is_end && given_up.iter().any(|next| number >= *next));
         }
     }
 

@@ -2,6 +2,7 @@
 
 use super::finding::Finding;
 use crate::network::{BridgePlan, Network};
+use crate::pipeline::check_host;
 use crate::plan::{Plan, Runs};
 use conicflow_messages::Hinted;
 use std::io::{self, ErrorKind};
@@ -24,7 +25,8 @@ pub(super) fn examine(plans: &[&Plan], network: &Network) -> Vec<Finding> {
 pub(super) fn warnings(plans: &[&Plan], network: &Network) -> Vec<Finding> {
     let warnings = bridges(plans).flat_map(|bridge| {
         let warning = |Hinted { what, hint, .. }| Hinted::new(format!("machine `{}`: {what}", bridge.machine), hint);
-        (network.warnings)(&bridge.settings).into_iter().map(warning)
+        let hosts = bridge.settings.connect.iter().filter_map(|endpoint| check_host(endpoint).err());
+        (network.warnings)(&bridge.settings).into_iter().chain(hosts).map(warning)
     });
     warnings.map(Finding::from).collect()
 }

@@ -2,8 +2,8 @@
 
 use super::folder::RunFolder;
 use crate::item_type::ItemType;
-use crate::link_report::{LinkReport, read_links};
-use crate::plan::{Plan, PlannedStage};
+use crate::link_report::{EdgeReport, LinkReport, read_links};
+use crate::plan::{Plan, PlannedStage, Runs};
 use crate::ports::Delivery;
 use crate::standstill;
 use crate::status::{Durations, InputCounts, Life, Pausing, Status, used};
@@ -41,7 +41,7 @@ pub(crate) struct Ending {
 pub struct LostMessages {
     /// Name of the topic.
     pub topic: String,
-    /// Name of the stage that reads it.
+    /// Who reads it: a stage, or the stages of another machine.
     pub reader: String,
     /// How many were lost, and of how many.
     pub count: [u64; 2],
@@ -52,7 +52,7 @@ pub struct LostMessages {
 impl Display for LostMessages {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { topic, reader, count: [lost, sent], malformed } = self;
-        write!(f, "`{reader}` lost {lost} of {sent} messages of the lossless topic `{topic}`")?;
+        write!(f, "{reader} lost {lost} of {sent} messages of the lossless topic `{topic}`")?;
         if *malformed > 0 { write!(f, ", {malformed} of them because they made no sense") } else { Ok(()) }
     }
 }
@@ -110,10 +110,39 @@ impl Summary {
                 let count = self.lost_by(planned, status, index).filter(|[lost, _]| *lost > 0)?;
                 // Others may have put in some that are not among those sent.
                 let malformed = status.inputs[index].malformed.min(count[0]);
-                Some(LostMessages { topic: topic.name.clone(), reader: planned.name.clone(), count, malformed })
+                Some(LostMessages {
+                    topic: topic.name.clone(),
+                    reader: format!("`{}`", planned.name),
+                    count,
+                    malformed,
+                })
             })
         });
-        lost.collect()
+        lost.chain(self.lost_on_the_way()).collect()
+    }
+
+    /// What other machines did not get of topics of which they want all: what the bridge sent, and nobody acknowledged.
+    fn lost_on_the_way(&self) -> impl Iterator<Item = LostMessages> {
+        let links = self.links.iter().filter(|_| !self.ending.hurried);
+        links.flat_map(|link| {
+            let wants_all = |edge: &&EdgeReport| !edge.comes() && self.has_lossless_edge(&edge.topic, &link.machine);
+            link.edges.iter().filter(wants_all).filter(|edge| edge.lost > 0).map(|edge| LostMessages {
+                topic: edge.topic.clone(),
+                reader: format!("machine `{}`", link.machine),
+                count: [edge.lost, edge.messages],
+                malformed: 0,
+            })
+        })
+    }
+
+    /// Whether a machine wants all messages of a topic that this one sends it.
+    fn has_lossless_edge(&self, topic: &str, machine: &str) -> bool {
+        let bridges = self.stages.iter().filter_map(|stage| match &stage.planned.runs {
+            Runs::Bridge(bridge) => Some(bridge),
+            _ => None,
+        });
+        let mut edges = bridges.flat_map(|bridge| &bridge.outgoing).filter(|edge| edge.topic.name == topic);
+        edges.any(|edge| edge.delivery_to(machine) == Some(Delivery::Lossless))
     }
 
     /// How many messages of an input a stage that wants all of them did not get, and of how many.
@@ -330,10 +359,8 @@ impl Display for Text<'_> {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::link_report::EdgeReport;
-    use crate::network::BridgePlan;
-    use crate::pipeline::Restart;
-    use crate::plan::Runs;
+    use crate::network::{BridgePlan, Edge, Receiver};
+    use crate::pipeline::{Compression, Restart};
     use crate::ports::{Topic, TopicReader, Wiring};
     use conicflow_messages::{Ellipse, Item, Object, Track};
 
@@ -443,6 +470,35 @@ pub(super) mod tests {
         assert_eq!(lost(sated), [[0; 2]; 0], "it wanted no more");
         let ending = Ending { hurried: true, ..run.ending.clone() };
         assert_eq!(lost(Summary { ending, ..run }), [[0; 2]; 0], "nobody waited for them");
+    }
+
+    #[test]
+    fn what_another_machine_did_not_get_of_a_lossless_topic_makes_a_run_incomplete() {
+        let run = |delivery: Delivery, direction: &str| {
+            let receiver = Receiver { machine: "base".into(), delivery };
+            let edge = Edge {
+                topic: Topic { name: "depth".into(), ..Topic::default() },
+                item: ItemType::of::<u16>(),
+                from: "robot".into(),
+                writers: vec!["source".into()],
+                to: vec![receiver],
+                compression: Compression::None,
+            };
+            let bridge = BridgePlan { outgoing: vec![edge], ..BridgePlan::default() };
+            let mut run = summary(Box::default());
+            run.stages[0].planned.runs = Runs::Bridge(Box::new(bridge));
+            let [topic, direction] = ["depth", direction].map(str::to_owned);
+            let edge = EdgeReport { topic, direction, messages: 40, lost: 3, ..EdgeReport::default() };
+            run.links = vec![LinkReport { machine: "base".into(), edges: vec![edge], ..LinkReport::default() }];
+            run
+        };
+        let lost = |run: &Summary| run.lost().iter().map(LostMessages::to_string).collect::<Vec<_>>();
+        let lossy = run(Delivery::Lossless, "out");
+        assert_eq!(lost(&lossy), ["machine `base` lost 3 of 40 messages of the lossless topic `depth`"]);
+        assert!(!lossy.is_complete());
+        assert!(lost(&run(Delivery::Latest, "out")).is_empty() && lost(&run(Delivery::Lossless, "in")).is_empty());
+        let ending = Ending { hurried: true, ..lossy.ending.clone() };
+        assert!(lost(&Summary { ending, ..lossy }).is_empty(), "nobody waited for them");
     }
 
     #[test]

@@ -3,6 +3,7 @@
 use super::metrics::Metrics;
 use conicflow_messages::Hinted;
 use serde::{Deserialize, Serialize};
+use std::net::ToSocketAddrs;
 use std::path::PathBuf;
 
 /// Name of the bridge among the stages of a machine.
@@ -47,16 +48,34 @@ pub enum Compression {
 /// # Errors
 /// It cannot.
 pub fn check_endpoint(endpoint: &str) -> Result<(), Hinted> {
-    let address = endpoint.split(['#', '?']).next().unwrap_or(endpoint);
-    let parts = address.split_once('/').and_then(|(protocol, address)| Some((protocol, address.rsplit_once(':')?)));
+    let parts = address(endpoint).and_then(|(protocol, address)| Some((protocol, address.rsplit_once(':')?)));
     let is_known = |protocol| matches!(protocol, "tcp" | "udp" | "tls" | "quic");
-    match parts {
-        Some((protocol, (host, port))) if is_known(protocol) && !host.is_empty() && port.parse::<u16>().is_ok() => {
-            Ok(())
+    let is_host = |host: &str| !host.is_empty() && !host.contains('/');
+    let in_brackets = |host: &str| host.starts_with('[') && host.ends_with(']');
+    let hint = match parts {
+        Some((protocol, (host, port))) if is_known(protocol) && is_host(host) && port.parse::<u16>().is_ok() => {
+            if !host.contains(':') || in_brackets(host) {
+                return Ok(());
+            }
+            "an address of IPv6 stands in brackets: tcp/[fe80::1]:7447"
         }
-        _ => Err(Hinted::new(
-            format!("`{endpoint}` is no endpoint"),
-            "an endpoint looks like tcp/192.168.0.2:7447; other protocols are udp, tls and quic",
-        )),
-    }
+        _ => "an endpoint looks like tcp/192.168.0.2:7447; other protocols are udp, tls and quic",
+    };
+    Err(Hinted::new(format!("`{endpoint}` is no endpoint"), hint))
+}
+
+/// Whether the host of an endpoint has an address, by its name or as it stands there. That may take seconds.
+///
+/// # Errors
+/// It has none.
+pub fn check_host(endpoint: &str) -> Result<(), Hinted> {
+    let found = address(endpoint).map(|(_, address)| address.to_socket_addrs());
+    let Some(Err(error)) = found else { return Ok(()) };
+    let hint = "is its name right? its address will do as well, such as tcp/192.168.0.2:7447";
+    Err(Hinted::new(format!("the host of `{endpoint}` is not known here: {error}"), hint))
+}
+
+/// The protocol of an endpoint, and its host with the port.
+fn address(endpoint: &str) -> Option<(&str, &str)> {
+    endpoint.split(['#', '?']).next()?.split_once('/')
 }

@@ -117,6 +117,8 @@ impl PulledSource {
     pub fn count(&mut self, name: &str, times: u64) {
         if times > 0 {
             self.place.record.status.count(name, times);
+            // It may count for long before it sends anything.
+            self.place.record.write();
         }
     }
 

@@ -178,7 +178,7 @@ impl<T: Transport> SourcePlace<T> {
 }
 
 impl<T: Transport> SourceLoop<'_, T> {
-    /// Makes and sends one message; false if there is none any more.
+    /// Makes and sends one message, where there is one already; false if there is none any more.
     fn make_one(&mut self) -> Result<bool, RunError> {
         let place = &mut self.place;
         place.find_side_inputs()?;
@@ -188,16 +188,25 @@ impl<T: Transport> SourceLoop<'_, T> {
         let make = || self.source.next(&side_inputs, output);
         let (next, Made { header, list }) = guarded(&mut place.record, place.sequence, make)?;
         let header = place.numbered(header);
-        let (making, is_message) = (started.elapsed(), next == Next::Message);
-        let is_due = place.is_due_to_be_sent(is_message.then_some(header.stamp_ns));
-        let sent = is_message && is_due && place.send(header, making, list)?;
-        if sent || next == Next::End {
-            place.output_port.tally(&mut place.record.status, header.sequence);
-            let message = AnyMessage { header: &header, item: self.output, bytes: list.unwrap_or_default() };
-            message.each_label(|label| place.record.status.count_found(label));
-            place.keep_counts();
-            self.memory_trim.step();
-        }
-        Ok(sent)
+        let making = started.elapsed();
+        let goes_on = match next {
+            Next::Message => {
+                if !(place.is_due_to_be_sent(Some(header.stamp_ns)) && place.send(header, making, list)?) {
+                    return Ok(false);
+                }
+                let message = AnyMessage { header: &header, item: self.output, bytes: list.unwrap_or_default() };
+                message.each_label(|label| place.record.status.count_found(label));
+                true
+            }
+            Next::Later => true,
+            Next::End => {
+                place.is_due_to_be_sent(None);
+                false
+            }
+        };
+        place.output_port.tally(&mut place.record.status, header.sequence);
+        place.keep_counts();
+        self.memory_trim.step();
+        Ok(goes_on)
     }
 }

@@ -133,9 +133,28 @@ fn an_endpoint_has_a_protocol_a_host_and_a_port() {
     for endpoint in ["tcp/192.168.0.2:7447", "udp/[::1]:7447", "tls/host:1#iface=eth0", "quic/host:65535?x"] {
         assert!(check_endpoint(endpoint).is_ok(), "{endpoint}");
     }
-    for endpoint in ["tcp/:7447", "ftp/host:1", "tcp/host:65536", "tcp/host", "host:1", "tcp/host:1:x"] {
+    for endpoint in [
+        "tcp/:7447",
+        "ftp/host:1",
+        "tcp/host:65536",
+        "tcp/host",
+        "host:1",
+        "tcp/host:1:x",
+        "tcp//host:1",
+        "tcp/::1:7447",
+    ] {
         assert_eq!(check_endpoint(endpoint).unwrap_err().what, format!("`{endpoint}` is no endpoint"));
     }
+    assert!(check_endpoint("tcp/fe80::1:7447").unwrap_err().hint.contains("brackets"));
+}
+
+#[test]
+fn a_host_without_an_address_is_told() {
+    for endpoint in ["tcp/localhost:7447", "tcp/127.0.0.1:7447", "udp/[::1]:7447#iface=lo"] {
+        assert_eq!(check_host(endpoint), Ok(()), "{endpoint}");
+    }
+    let told = check_host("tcp/no-such-host.invalid:7447").unwrap_err();
+    assert!(told.what.starts_with("the host of `tcp/no-such-host.invalid:7447` is not known here: "), "{told}");
 }
 
 #[test]
