@@ -99,6 +99,14 @@ impl FileUse {
         })
     }
 
+    /// What is wrong with beginning to write this file in the midst of a run, in which the stage wrote those of `before`: it is
+    /// there already, and would be gone on with as if it were one of them.
+    pub(crate) fn over_what_is_there(&self, writer: &str, before: &[Self]) -> Option<Hinted> {
+        let is_new = self.names == Names::Known && self.path.is_file() && !before.iter().any(|own| self.meets(own));
+        let what = || format!("{writer} would go on with `{}`, which is there already", self.path.display());
+        is_new.then(|| Hinted::new(what(), "name another file, or move that one away"))
+    }
+
     /// Whether some file is among both.
     fn meets(&self, other: &Self) -> bool {
         match (&self.names, &other.names) {

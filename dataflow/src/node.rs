@@ -1,6 +1,7 @@
 //! The table of nodes: what the pipeline file may name, and how each is checked and run.
 
 use crate::file_use::FileUse;
+use crate::pipeline::schema_of;
 use crate::ports::shared_memory::SharedMemory;
 use crate::runner::source_loop::run_source;
 use crate::runner::stage_loop::run_stage;
@@ -62,7 +63,7 @@ impl Node {
             summary: S::SUMMARY,
             variants: const { &[Variant::source::<S>()] },
             side_inputs: S::side_inputs,
-            schema: schema::<S::Config>,
+            schema: schema_of::<S::Config>,
             check: |parameters, base| Ok(S::faults(&serde_json::from_value(parameters)?, base)),
             reads: |parameters, base| files(parameters, base, S::reads),
             writes: |parameters, base| files(parameters, base, S::writes),
@@ -84,7 +85,7 @@ impl Node {
             summary: S::SUMMARY,
             variants,
             side_inputs: S::side_inputs,
-            schema: schema::<S::Config>,
+            schema: schema_of::<S::Config>,
             check: |parameters, base| Ok(S::faults(&serde_json::from_value(parameters)?, base)),
             reads: |parameters, base| files(parameters, base, S::reads),
             writes: |parameters, base| files(parameters, base, S::writes),
@@ -141,10 +142,6 @@ impl Variant {
     pub const fn stage<S: Stage>() -> Self {
         Self { input: S::Input::NAME, output: S::Output::NAME, run: start_stage::<S> }
     }
-}
-
-fn schema<C: Config>() -> Json {
-    schemars::SchemaGenerator::default().into_root_schema_for::<C>().to_value()
 }
 
 fn settle<C: Config>(parameters: Json) -> Result<Json, serde_json::Error> {

@@ -3,11 +3,13 @@
 //! The launcher writes it once; all stages of a run read the same plan, whatever becomes of the pipeline file meanwhile.
 
 use crate::bridge_plan::bridge_plan;
+use crate::file_use::FileUse;
 use crate::network::BridgePlan;
+use crate::node::Node;
 use crate::pipeline::{BRIDGE, Pipeline, Program, Report, Restart, SourceText, StageSpec};
 use crate::ports::{Topic, Wiring};
 use crate::registry::Registry;
-use conicflow_messages::{Item, Nothing};
+use conicflow_messages::{Hinted, Item, Nothing};
 use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
 use std::path::PathBuf;
@@ -123,6 +125,36 @@ impl Plan {
         let (pipeline, warnings) =
             Pipeline::read_on(machine.as_deref(), source.clone(), &self.base, &overrides, registry)?;
         Ok((Self::of(&pipeline, machine.as_deref(), *frames, self.run), warnings))
+    }
+
+    /// What is wrong with running this plan beside that of another pipeline: a file that both write. The nodes of both stand in
+    /// the table `nodes`.
+    pub fn over_what_is_written_by(&self, other: &Self, nodes: &[Node]) -> Option<Hinted> {
+        let others: Vec<_> = other.files_written(nodes).collect();
+        self.files_written(nodes).find_map(|(writer, files)| {
+            let beside = |writer: &str| format!("{writer} of the running pipeline `{}`", other.pipeline);
+            others.iter().find_map(|(other, written)| files.over_what_is_written(&writer, written, &beside(other)))
+        })
+    }
+
+    /// What is wrong with the files that a stage would begin to write if it took over from that of this plan; the nodes of both
+    /// stand in the table `nodes`.
+    pub fn over_what_is_there(&self, successor: &PlannedStage, nodes: &[Node]) -> Option<Hinted> {
+        let of = |stage| self.files_of(stage, nodes).map(|(_, files)| files);
+        let before: Vec<_> = self.stage(&successor.name).into_iter().flat_map(of).collect();
+        self.files_of(successor, nodes).find_map(|(writer, files)| files.over_what_is_there(&writer, &before))
+    }
+
+    fn files_written<'a>(&'a self, nodes: &'a [Node]) -> impl Iterator<Item = (String, FileUse)> + 'a {
+        self.stages.iter().flat_map(|stage| self.files_of(stage, nodes))
+    }
+
+    /// The files that a stage writes, and what names them, in words.
+    fn files_of(&self, stage: &PlannedStage, nodes: &[Node]) -> impl Iterator<Item = (String, FileUse)> + use<> {
+        let node = nodes.iter().find(|node| matches!(&stage.runs, Runs::Node { node: name, .. } if *name == node.name));
+        let files = node.map(|node| (node.writes)(stage.parameters.clone(), &self.base)).unwrap_or_default();
+        let name = stage.name.clone();
+        files.into_iter().map(move |files| (format!("`{}` of stage `{name}`", files.key), files))
     }
 
     /// The stages that run something else, or are joined otherwise, in another plan.

@@ -39,7 +39,7 @@ pub use json::{LINE_KEYS, Line};
 pub use layout::{Field, Layout, LayoutFault, MAX_ITEM_BYTES};
 pub use object::{Object, ObjectKind, ObjectSigma};
 pub use plain::{is_harmless, plain};
-pub use quantise::{finest_scale, is_too_far, quantise};
+pub use quantise::{COARSEST_SCALE, finest_scale, is_too_far, quantise};
 pub use text::Text;
 pub use track::{Track, TrackState};
 pub use value::{ABSENT, Element, Fields, Named, Value};

@@ -4,7 +4,9 @@ use crate::{INVALID_FAR, INVALID_NEAR};
 
 /// Metres per unit: a tenth of a millimetre, which is finer than any sensor and reaches to 6.5 m; and where that does not
 /// reach, a quarter of a millimetre, to 16.38 m.
-const SCALES: [f64; 2] = [0.0001, 0.000_25];
+const SCALES: [f64; 2] = [0.0001, COARSEST_SCALE];
+/// The coarsest of them.
+pub const COARSEST_SCALE: f64 = 0.000_25;
 
 /// The finest scale (metres per unit) that holds the largest of some depths, or the coarsest. A depth of `z` is `z *
 /// metres_per_z` metres.

@@ -17,12 +17,12 @@ mod top;
 mod topic;
 mod view;
 
-use crate::REGISTRY;
+use crate::{NODES, REGISTRY};
 use anyhow::bail;
 use clap::{Args, CommandFactory, Parser, Subcommand};
 use conicflow_dataflow::pipeline::{Pipeline, Report, file_schema};
 use conicflow_dataflow::{DEFAULT_LOG, LOG, LaunchError, LinkKey, NO_RUN, Plan, ProcessError, RunOptions, Summary};
-use conicflow_dataflow::{error_text, log_filter, log_to_standard_error, told_to_end};
+use conicflow_dataflow::{FolderError, RunningPipeline, error_text, log_filter, log_to_standard_error, told_to_end};
 use conicflow_lab::experiment::{Experiment, Results, Variation};
 use conicflow_messages::{Hinted, lasts};
 use doctor::doctor;
@@ -38,7 +38,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use swap::SwapArguments;
-use topic::TopicCommand;
+use topic::{PipelineName, TopicCommand};
 
 /// Exit code for what was begun and could not be done.
 const FAILED: u8 = 1;
@@ -112,6 +112,8 @@ enum Command {
         /// Print one look as JSON
         #[arg(long)]
         once: bool,
+        #[command(flatten)]
+        of: PipelineName,
     },
     /// Look at the topics of a running pipeline, with no change to it
     #[command(subcommand)]
@@ -213,7 +215,7 @@ fn dispatch(command: Command, log: &str) -> anyhow::Result<ExitCode> {
         Command::Graph { source, machine } => {
             write!(stdout(), "{}", source.read_for(machine.as_deref())?.mermaid())?;
         }
-        Command::Top { once } => top::top(once)?,
+        Command::Top { once, of } => top::top(once, &of)?,
         Command::Topic(command) => topic::topic(&command)?,
         Command::Record(arguments) => record::record(&arguments)?,
         Command::View(arguments) => view::view(&arguments)?,
@@ -272,6 +274,7 @@ fn validate(source: &FileArguments, machine: Option<&str>) -> anyhow::Result<()>
 
 fn run(arguments: &RunArguments, log: &str) -> anyhow::Result<ExitCode> {
     let pipeline = arguments.source.read_on(arguments.machine.as_deref())?;
+    look_beside(&Plan::of(&pipeline, arguments.machine.as_deref(), None, NO_RUN))?;
     let _metrics = metrics::offer(&pipeline, arguments.machine.as_deref())?;
     if let Some(json) = &pipeline.experiment {
         return run_experiment(&pipeline, &Experiment::read(json)?, arguments, log);
@@ -285,6 +288,17 @@ fn run(arguments: &RunArguments, log: &str) -> anyhow::Result<ExitCode> {
         say(format_args!("\n{}", text.trim_end()));
     }
     Ok(if summary.is_complete() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// Makes sure that no pipeline runs which has the name of this one, or writes its files.
+fn look_beside(plan: &Plan) -> anyhow::Result<()> {
+    for other in RunningPipeline::all()? {
+        if other.plan.pipeline == plan.pipeline {
+            bail!(LaunchError::from(FolderError::Running { name: other.plan.pipeline }));
+        }
+        plan.over_what_is_written_by(&other.plan, NODES).map_or(Ok(()), Err)?;
+    }
+    Ok(())
 }
 
 /// What an experiment varies; the command line, which has the last word, must not take that away.

@@ -1,7 +1,9 @@
 //! `conicflow top`: what running pipelines do, as a screen that is drawn anew each second, or once as JSON.
 
+use super::topic::PipelineName;
 use conicflow_dataflow::{PipelineActivity, StageActivity, Table, link_table, observe};
 use conicflow_view::give_way;
+use rustix::termios::tcgetwinsize;
 use serde_json::json;
 use std::io::{IsTerminal, Write, stdout};
 use std::thread::sleep;
@@ -11,25 +13,38 @@ const PERIOD: Duration = Duration::from_secs(1);
 /// A stage that has given no sign of life for this long is pointed out.
 const SILENT_S: f64 = 2.0;
 
-/// Draws the screen until it is ended; without a terminal, or if `once`, prints JSON and ends.
+/// Draws the screen until it is ended, of all pipelines or of one; without a terminal, or if `once`, prints JSON and ends.
 ///
 /// # Errors
-/// The runs cannot be read, or standard output cannot be written.
-pub fn top(once: bool) -> anyhow::Result<()> {
+/// The runs cannot be read, no pipeline of this name runs, or standard output cannot be written.
+pub fn top(once: bool, of: &PipelineName) -> anyhow::Result<()> {
     give_way();
+    let name = of.named()?;
     let mut before = observe()?;
     loop {
         sleep(PERIOD);
         let now = observe()?;
-        let activity = now.since(&before);
+        let mut activity = now.since(&before);
+        activity.retain(|pipeline| name.as_ref().is_none_or(|name| pipeline.pipeline == *name));
         before = now;
         if once || !stdout().is_terminal() {
             writeln!(stdout(), "{}", serde_json::to_string_pretty(&json!({ "pipelines": activity }))?)?;
             return Ok(());
         }
-        write!(stdout(), "\x1b[H\x1b[2J{}", screen(&activity))?;
+        let rows = tcgetwinsize(stdout()).map_or(0, |size| size.ws_row.into());
+        write!(stdout(), "\x1b[H\x1b[2J{}", fitting(&screen(&activity), rows))?;
         stdout().flush()?;
     }
+}
+
+/// As much of a text as a window of so many rows has room for; of a window of which nothing is known, all.
+fn fitting(text: &str, rows: usize) -> String {
+    let lines: Vec<_> = text.lines().collect();
+    if rows < 2 || lines.len() < rows {
+        return text.to_owned();
+    }
+    let (shown, more) = (&lines[..rows - 1], lines.len() + 1 - rows);
+    format!("{}\n({more} lines more: enlarge the window, or name one with --pipeline)", shown.join("\n"))
 }
 
 /// The tables of all pipelines, within 80 columns.
@@ -107,4 +122,19 @@ fn time(milliseconds: Option<f64>) -> String {
 /// A text of at most `width` characters; one that is cut ends in a dot.
 fn clip(text: &str, width: usize) -> String {
     if text.chars().count() <= width { text.to_owned() } else { text.chars().take(width - 1).chain(['.']).collect() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_window_shows_as_many_lines_as_it_has_and_how_many_there_are_more() {
+        let text = "a\nb\nc\nd\n";
+        for rows in [0, 1, 5, 24] {
+            assert_eq!(fitting(text, rows), text);
+        }
+        assert_eq!(fitting(text, 4), "a\nb\nc\n(1 lines more: enlarge the window, or name one with --pipeline)");
+        assert!(fitting(text, 2).starts_with("a\n(3 lines more: "));
+    }
 }

@@ -71,6 +71,11 @@ impl PipelineName {
     pub(crate) fn find(&self) -> Result<RunningPipeline, WatchError> {
         RunningPipeline::find(self.pipeline.as_deref(), "--pipeline NAME")
     }
+
+    /// The name, if one was given, of a pipeline that runs.
+    pub(crate) fn named(&self) -> Result<Option<String>, WatchError> {
+        self.pipeline.as_ref().map(|_| Ok(self.find()?.plan.pipeline)).transpose()
+    }
 }
 
 /// All topics of a pipeline, each once.

@@ -85,6 +85,8 @@ pub struct Recorder {
 struct Files {
     path: PathBuf,
     limits: Limits,
+    /// Whether it goes on behind the files of an earlier process.
+    goes_on: bool,
     open: Option<OpenFile>,
     /// Number of the next file, from 0.
     next: u64,
@@ -149,6 +151,7 @@ impl Recorder {
         let mut files = Files {
             path: path.to_owned(),
             limits,
+            goes_on,
             open: None,
             next: before.last().map_or(0, |last| last + 1),
             complete: before.iter().map(|number| with_length(numbered(path, *number))).collect(),
@@ -195,7 +198,7 @@ impl Drop for Recorder {
     /// file behind.
     fn drop(&mut self) {
         let mut files = lock(&self.files);
-        let goes_on = files.next > 1;
+        let goes_on = files.goes_on;
         if let Some(open) = files.open.take_if(|open| goes_on && open.channels.is_empty()) {
             // It would be a recording of nothing.
             fs::remove_file(&open.path).ok();

@@ -113,7 +113,7 @@ impl Describe for Track {
     }
 
     fn describe(&self, text: &mut impl fmt::Write) -> fmt::Result {
-        write!(text, "#{:<4}", self.id)?;
+        write!(text, "#{:<3} ", self.id)?;
         self.object.describe(text)?;
         let [x, y, z] = self.velocity;
         write!(text, "  velocity ({x:6.3}, {y:6.3}, {z:6.3}) m/s  {}", self.track_state().name())

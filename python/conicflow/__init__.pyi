@@ -33,8 +33,10 @@ class _Sigma:
     """In metres; of a cone that of its radius at `center`."""
     length: Optional[float]
     """In metres; `None` for a sphere."""
-    velocity: Optional[_Vector]
-    """In metres per second; of a track."""
+
+class _TrackSigma(_Sigma):
+    velocity: _Vector
+    """In metres per second."""
 
 class Record:
     """One item of a message. Its attributes are the keys that `json_sink` writes."""
@@ -83,6 +85,7 @@ class Track(_Shape):
     """A tracked object in the camera frame."""
 
     id: int
+    sigma: _TrackSigma
     velocity: _Vector
     """In metres per second."""
     age: int
@@ -200,6 +203,8 @@ class Message:
     def to_dict(self) -> dict[str, Any]:
         """The line that `json_sink` writes."""
     def __len__(self) -> int: ...
+    def __bool__(self) -> Literal[True]:
+        """A message is one also where it has no items."""
 
 class Reader:
     """Messages of topics of a running pipeline, until the run is over."""

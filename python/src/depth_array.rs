@@ -2,12 +2,18 @@
 //! is read where it is; anything else is copied once.
 
 use crate::fault;
+use conicflow_messages::{COARSEST_SCALE, Hinted, is_too_far};
 use numpy::{PyArrayDescrMethods, PyReadonlyArray2, PyUntypedArray, PyUntypedArrayMethods, dtype};
+use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
+use std::ffi::CString;
 
 /// What is expected.
 const EXPECTED: &str = "expected a NumPy array of two dimensions, (rows, columns), of uint16 (in units of `scale`) or of \
                         float32 (in metres, NaN: not measured)";
+
+/// One pixel in so many is asked whether the units can be right.
+const LOOKED_AT: usize = 97;
 
 /// A depth image.
 pub(crate) enum DepthArray<'py> {
@@ -43,6 +49,21 @@ impl<'py> DepthArray<'py> {
         }
         let whole = whole(array)?;
         Ok(if of_units { Self::Units(whole.extract()?) } else { Self::Metres(whole.extract()?) })
+    }
+
+    /// Warns of an image in metres most of which is farther than a depth can be: it may be in millimetres.
+    pub(crate) fn warn_of_units(&self, py: Python<'_>) -> PyResult<()> {
+        let Self::Metres(array) = self else { return Ok(()) };
+        let looked_at = || array.as_slice().into_iter().flatten().step_by(LOOKED_AT);
+        let measured = looked_at().filter(|z| z.is_finite() && **z > 0.0).count();
+        let too_far = looked_at().filter(|z| is_too_far(**z, 1.0 / COARSEST_SCALE)).count();
+        if 2 * too_far <= measured {
+            return Ok(());
+        }
+        let what = "most of `depth` is beyond 16.38 m, and float32 is in metres";
+        let hint = "of millimetres pass depth.astype(numpy.uint16), or depth * numpy.float32(0.001)";
+        let text = CString::new(Hinted::new(what, hint).to_string())?;
+        PyErr::warn(py, &py.get_type::<PyUserWarning>(), &text, 1)
     }
 
     /// Columns and rows.

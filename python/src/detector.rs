@@ -9,7 +9,7 @@ use conicflow_messages::{Camera, NoiseModel, Object};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use std::cell::RefCell;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// What the images of a camera need to be understood.
 #[derive(Clone, Copy, PartialEq)]
@@ -52,7 +52,7 @@ thread_local! {
 ///     metres, and what is not finite, not above zero or beyond 16.38 m is not measured. Any stride will do; an array that
 ///     lies row by row without gaps is not copied.
 /// camera: (fx, fy, cx, cy) in pixels; pixel centres lie at whole numbers.
-/// scale: metres per unit of a `uint16` pixel.
+/// scale: metres per unit of a `uint16` pixel; `float32` is in metres whatever it says.
 /// noise: the sensor's depth noise, "kinect_v1", "realsense_d435", "time_of_flight", "ideal", or a dictionary with some of
 ///     floor_m, growth_per_m, knee_m, step_per_m. None: "kinect_v1".
 ///
@@ -75,16 +75,20 @@ pub(crate) fn detect<'py>(
             look(&mut last.insert(made).detector)
         })
     })?;
-    record::list_of(py, &found)
+    record::list_of(py, &found.map_err(|error| fault::told(&error))?)
 }
 
+/// What a detector finds in an image.
+type Found = Result<Vec<Object>, DetectError>;
+
 /// Looks at an image with the detector that `with` hands out, while other threads of Python go on.
-fn look(
+fn look<R: Send>(
     py: Python<'_>,
     image: &DepthArray<'_>,
-    with: impl FnOnce(&dyn Fn(&mut Detector) -> Result<Vec<Object>, DetectError>) -> Result<Vec<Object>, DetectError> + Send,
-) -> PyResult<Vec<Object>> {
-    let found = match image {
+    with: impl FnOnce(&dyn Fn(&mut Detector) -> Found) -> R + Send,
+) -> PyResult<R> {
+    image.warn_of_units(py)?;
+    Ok(match image {
         DepthArray::Units(array) => {
             let pixels = array.as_slice()?;
             py.detach(|| with(&|detector| detector.try_detect(pixels)))
@@ -93,8 +97,7 @@ fn look(
             let metres = array.as_slice()?;
             py.detach(|| with(&|detector| detector.try_detect_f32(metres)))
         }
-    };
-    found.map_err(|error| fault::told(&error))
+    })
 }
 
 /// Finds objects in the images of one camera, one after another; all of them have the size of the first. Each shows where the
@@ -133,36 +136,39 @@ impl PyDetector {
         let image = DepthArray::new(depth)?;
         let size = image.size()?;
         let found = look(py, &image, |look| {
-            let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut made = self.made();
             let (camera, detector) = made.get_or_insert_with(|| self.make(size));
-            let actual = size.0 as usize * size.1 as usize;
-            let &mut Camera { width, height, .. } = camera;
-            if (width, height) == size { look(detector) } else { Err(DetectError::Size { actual, width, height }) }
+            if (camera.width, camera.height) == size { Ok(look(detector)) } else { Err(*camera) }
         })?;
-        record::list_of(py, &found)
+        let found = found.map_err(|Camera { width, height, .. }| {
+            let what = format!("the depth image is {}x{}, the first one was {width}x{height}", size.0, size.1);
+            fault::value(what, "make a Detector for each size")
+        })?;
+        record::list_of(py, &found.map_err(|error| fault::told(&error))?)
     }
 
     /// How noisy the last image was, near and far, in standard deviations of the noise model: far from 1 the model is not that of
     /// the sensor.
     #[getter]
-    fn noise_ratios(&self) -> (f64, f64) {
-        let made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
-        made.as_ref().map_or((1.0, 1.0), |(_, detector)| detector.noise_ratios().into())
+    fn noise_ratios(&self, py: Python<'_>) -> (f64, f64) {
+        py.detach(|| self.made().as_ref().map_or((1.0, 1.0), |(_, detector)| detector.noise_ratios().into()))
     }
 
     /// Why arcs and candidates of the last image were turned down, and how many of them.
     #[getter]
     fn rejections<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
+        let told: Vec<_> = py.detach(|| self.made().iter().flat_map(|(_, detector)| detector.rejections()).collect());
         let counts = PyDict::new(py);
-        for (reason, times) in made.iter().flat_map(|(_, detector)| detector.rejections()) {
-            counts.set_item(reason, times)?;
-        }
+        told.into_iter().try_for_each(|(reason, times)| counts.set_item(reason, times))?;
         Ok(counts)
     }
 }
 
 impl PyDetector {
+    fn made(&self) -> MutexGuard<'_, Option<(Camera, Detector)>> {
+        self.made.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// The detector for images of this size, that of the first.
     fn make(&self, size: (u32, u32)) -> (Camera, Detector) {
         let (extractor, assembler) = self.parameters.clone();

@@ -104,18 +104,26 @@ impl Inputs {
     }
 }
 
-/// From now on the run tells this process when to end. Python would raise KeyboardInterrupt in the midst of a step.
-pub(crate) fn leave_signals_to_the_run(py: Python<'_>) {
-    let ignore = || {
-        let signal = py.import("signal")?;
-        signal.call_method1("signal", (signal.getattr("SIGINT")?, signal.getattr("SIG_DFL")?))
-    };
+/// Joins the run, which from then on tells this process when to end: Python would raise KeyboardInterrupt in the midst of a step.
+/// A process that has no place keeps its own way to be interrupted.
+pub(crate) fn join<T: Send>(py: Python<'_>, join: impl FnOnce() -> Result<T, ProcessError> + Send) -> PyResult<T> {
     // Signals reach only the main thread; where this is another, somebody else has a say in them.
-    ignore().ok();
+    let before = be_interrupted_by(py, None).ok();
+    py.detach(join).map_err(|error| {
+        before.map(|before| be_interrupted_by(py, Some(before)));
+        refusal(py, &error)
+    })
+}
+
+/// Lets SIGINT be handled so, or as the system does; how it was before.
+fn be_interrupted_by<'py>(py: Python<'py>, handler: Option<Bound<'py, PyAny>>) -> PyResult<Bound<'py, PyAny>> {
+    let signal = py.import("signal")?;
+    let handler = handler.map_or_else(|| signal.getattr("SIG_DFL"), Ok)?;
+    signal.call_method1("signal", (signal.getattr("SIGINT")?, handler))
 }
 
 /// How a process learns that it has no place: outside of a run by an exception, within one it ends as any stage does.
-pub(crate) fn refusal(py: Python<'_>, error: &ProcessError) -> PyErr {
+fn refusal(py: Python<'_>, error: &ProcessError) -> PyErr {
     if matches!(error, ProcessError::NoRun(_)) {
         return fault::run(error);
     }
@@ -126,10 +134,13 @@ pub(crate) fn refusal(py: Python<'_>, error: &ProcessError) -> PyErr {
 /// Tells of an exception at which frame it was raised; one before the first frame ends the process as one that could not be made
 /// ready.
 pub(crate) fn failed(py: Python<'_>, exception: &Bound<'_, PyAny>, frame: Option<u64>, begun: bool) -> PyResult<()> {
+    let exits = exception.is_instance_of::<PySystemExit>();
     if let Some(frame) = frame {
-        say(py, &format!("error: at frame {frame}:"));
+        // Python shows the exception itself, unless it ends the program.
+        let what = if exits { format!(" {}", exception.repr()?) } else { String::new() };
+        say(py, &format!("error: at frame {frame}:{what}"));
     }
-    if begun || exception.is_instance_of::<PySystemExit>() {
+    if begun || exits {
         return Ok(());
     }
     py.import("traceback")?

@@ -235,6 +235,11 @@ impl Message {
         self.bytes().len() / self.item.size()
     }
 
+    /// A message is one also where it has no items.
+    fn __bool__(&self) -> bool {
+        true
+    }
+
     fn __repr__(&self) -> String {
         let (number, kind) = (self.__len__(), self.item.name());
         format!("Message(topic='{}', sequence={}, {number} of {kind})", self.topic, self.header.sequence)

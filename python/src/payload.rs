@@ -49,6 +49,7 @@ impl Payload {
                 Ok(Self { bytes: bytemuck::cast_slice(pixels.as_slice()?).to_vec(), size, scale: None })
             }
             DepthArray::Metres(metres) => {
+                image.warn_of_units(given.py())?;
                 let metres = metres.as_slice()?;
                 let scale = finest_scale(metres, 1.0);
                 let units: Vec<u16> = metres.iter().map(|&z| quantise(z, 1.0 / scale)).collect();
@@ -130,6 +131,11 @@ impl HeaderChange {
             }
         }
         Ok(change)
+    }
+
+    /// The number of the frame, where one was given.
+    pub(crate) fn sequence(&self) -> Option<u64> {
+        self.sequence
     }
 
     /// Sets in the header what was given, and what the payload tells.

@@ -5,12 +5,12 @@
 
 use crate::fault;
 use bytemuck::{bytes_of, cast_slice, cast_slice_mut, pod_read_unaligned};
-use conicflow_dataflow::{AnyMessage, ItemType};
-use conicflow_messages::{Ellipse, Header, Item, Object, ObjectKind, ToJson, Track, Velocity};
+use conicflow_dataflow::{AnyMessage, BUILT_IN, ItemType};
+use conicflow_messages::{COARSEST_SCALE, Camera, Ellipse, Header, Item, Object, ObjectKind, ToJson, Track, Velocity};
 use pyo3::exceptions::PyAttributeError;
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
-use pyo3::types::{PyBytes, PyDict, PyList, PyString};
+use pyo3::types::{PyBytes, PyDict, PyList, PyString, PyTuple};
 
 /// One item of a message. Its attributes are the keys that `json_sink` writes; what only other shapes have is None.
 #[pyclass(frozen, subclass, module = "conicflow")]
@@ -39,11 +39,25 @@ struct PyVelocity;
 
 /// Makes the classes of records known.
 pub(crate) fn add_to(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_function(wrap_pyfunction!(unpickled, module)?)?;
     module.add_class::<Record>()?;
     module.add_class::<PyObjectRecord>()?;
     module.add_class::<PyTrack>()?;
     module.add_class::<PyEllipse>()?;
     module.add_class::<PyVelocity>()
+}
+
+/// A record of one of the classes, as [`Record::__reduce__`] tells of it.
+#[pyfunction(name = "_record")]
+fn unpickled<'py>(py: Python<'py>, layout: &str, bytes: &[u8]) -> PyResult<Bound<'py, PyAny>> {
+    let item = BUILT_IN.iter().find(|item| item.layout() == layout && item.size() == bytes.len());
+    let item = item.ok_or_else(|| fault::value("it was pickled by another version", "find the objects anew"))?;
+    // Of whatever camera they are, the items alone are to make sense.
+    let side = 1 << 12;
+    let camera = Camera { width: side, height: side, fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 };
+    let header = Header { camera, depth_scale: COARSEST_SCALE, ..Header::default() };
+    item.check(&header, bytes).map_err(|error| fault::told(&error))?;
+    Record::new(item, bytes).into_python(py)
 }
 
 /// Items that this program knows, as a list of records.
@@ -111,6 +125,7 @@ impl Record {
         let known = keys(py, &self.item)?;
         let shown = self.shown(py)?;
         match shown.get_item(name)? {
+            Some(value) if value.is_instance_of::<PyList>() => value.call_method0("copy"),
             Some(value) => with_attributes(py, value, known.map(|known| known.get_item(name)).transpose()?.flatten()),
             // What this shape does not have, another has.
             None if known.is_some_and(|known| known.contains(name).unwrap_or(false)) => Ok(py.None().into_bound(py)),
@@ -126,6 +141,16 @@ impl Record {
         let names = self.shown(py)?.keys();
         names.append("to_dict")?;
         Ok(names)
+    }
+
+    /// How it is copied and pickled: by its bytes, which another version of the layout refuses.
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        if !self.item.is_built_in() {
+            let what = format!("an item of {} cannot be copied or pickled", self.item.name());
+            return Err(fault::kind(what, "keep its to_dict(), or the array of its message"));
+        }
+        let make = py.import("conicflow._conicflow")?.getattr("_record")?;
+        (make, (self.item.layout(), PyBytes::new(py, self.bytes()))).into_pyobject(py)
     }
 
     fn __eq__(&self, other: &Bound<'_, PyAny>) -> bool {
@@ -191,6 +216,9 @@ fn with_attributes<'py>(
     if let Some(keys) = keys.as_ref().and_then(|keys| keys.cast::<PyDict>().ok()) {
         all.update(keys.as_mapping())?;
     }
-    all.update(fields.as_mapping())?;
+    for (name, value) in fields.iter() {
+        let own = if value.is_instance_of::<PyList>() { value.call_method0("copy")? } else { value };
+        all.set_item(name, own)?;
+    }
     py.import("types")?.getattr("SimpleNamespace")?.call((), Some(&all))
 }

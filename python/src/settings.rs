@@ -2,17 +2,16 @@
 //! keys.
 
 use crate::fault;
-use conicflow_dataflow::pipeline::suggestion;
+use conicflow_dataflow::Config;
+use conicflow_dataflow::pipeline::value_fault;
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
-use conicflow_messages::{ConfigFault, NoiseModel};
+use conicflow_messages::{ConfigFault, Hinted, NoiseModel};
 use pyo3::prelude::*;
-use serde::Serialize;
-use serde::de::DeserializeOwned;
-use serde_json::{Map, Value as Json};
+use serde_json::Value as Json;
 
 /// What to write where the camera is wanted.
-const CAMERA: &str = "give camera=(fx, fy, cx, cy) in pixels, such as (525.0, 525.0, 319.5, 239.5); of a matrix K these are \
+pub(crate) const CAMERA: &str = "give camera=(fx, fy, cx, cy) in pixels, such as (525.0, 525.0, 319.5, 239.5); of a matrix K these are \
                       K[0, 0], K[1, 1], K[0, 2], K[1, 2]";
 
 /// The intrinsics of a camera: `(fx, fy, cx, cy)` in pixels.
@@ -40,20 +39,13 @@ pub(crate) fn noise(noise: Option<&Bound<'_, PyAny>>) -> PyResult<NoiseModel> {
 }
 
 /// Parameters by their names in the pipeline file; those that are left out have their defaults. `faults` tells what is wrong
-/// with them beyond their types.
-pub(crate) fn parameters<T: DeserializeOwned + Serialize + Default>(
+/// with them although each is in its range.
+pub(crate) fn parameters<T: Config>(
     name: &str,
     given: Option<&Bound<'_, PyAny>>,
     faults: fn(&T) -> Vec<ConfigFault>,
 ) -> PyResult<T> {
     let Some(given) = given else { return Ok(T::default()) };
-    let keys: Map<String, Json> = read(name, given)?;
-    let known: Map<String, Json> =
-        serde_json::to_value(T::default()).and_then(serde_json::from_value).map_err(|error| fault::told(&error))?;
-    if let Some(unknown) = keys.keys().find(|key| !known.contains_key(*key)) {
-        let hint = suggestion(unknown, known.keys().map(String::as_str), "parameters");
-        return Err(fault::value(format!("`{name}` has an unknown parameter `{unknown}`"), hint));
-    }
     let parameters = read(name, given)?;
     match faults(&parameters).into_iter().next() {
         Some(ConfigFault { key, what, hint }) => Err(fault::value(format!("`{name}`, `{key}`: {what}"), hint)),
@@ -61,10 +53,15 @@ pub(crate) fn parameters<T: DeserializeOwned + Serialize + Default>(
     }
 }
 
-/// What is described by words and dictionaries as in the pipeline file.
-pub(crate) fn read<T: DeserializeOwned>(name: &str, value: &Bound<'_, PyAny>) -> PyResult<T> {
+/// What is described by words and dictionaries as in the pipeline file, and checked as there.
+fn read<T: Config>(name: &str, value: &Bound<'_, PyAny>) -> PyResult<T> {
     let hint = "the words and keys are those of the pipeline file: `conicflow nodes` lists them";
     let text = value.py().import("json")?.call_method1("dumps", (value,));
     let text: String = text.map_err(|error| fault::kind(format!("`{name}`: {error}"), hint))?.extract()?;
-    serde_json::from_str(&text).map_err(|error| fault::value(format!("`{name}` is {text}: {error}"), hint))
+    let said: Json =
+        serde_json::from_str(&text).map_err(|error| fault::value(format!("`{name}` is {text}: {error}"), hint))?;
+    if let Some(Hinted { what, hint, .. }) = value_fault::<T>(name, &said) {
+        return Err(fault::value(what, hint));
+    }
+    serde_json::from_value(said).map_err(|error| fault::value(format!("`{name}` is {text}: {error}"), hint))
 }

@@ -3,6 +3,7 @@
 use crate::fault;
 use crate::joined::{self, Inputs, Joined};
 use crate::payload::{HeaderChange, Payload};
+use crate::settings;
 use conicflow_dataflow::{PulledSource, join_as_source, monotonic_ns, tell_frame, unix_ns};
 use conicflow_messages::{Header, NoiseModel, Text};
 use pyo3::prelude::*;
@@ -16,7 +17,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 ///     for number in source:
 ///         source.send(camera.read(), camera=(fx, fy, cx, cy), scale=0.001, noise="realsense_d435")
 ///
-/// Iterating gives the numbers of the frames, when each is due by the parameter `rate_hz`, where there is one. It ends by itself
+/// Iterating gives the numbers of the frames, when each is due by the parameter `rate_hz`, where there is one. Each is that of the
+/// next message that is sent: where none is, the same comes again. It ends by itself
 /// when the run ends, when as many frames are made as are wanted, and when it is replaced; the stream ends where the loop does.
 #[pyclass(frozen, extends = Joined, module = "conicflow")]
 pub(crate) struct Source {
@@ -32,8 +34,7 @@ pub(crate) struct Source {
 #[pyfunction]
 #[pyo3(signature = (*, total = None))]
 pub(crate) fn source(py: Python<'_>, total: Option<u64>) -> PyResult<Bound<'_, Source>> {
-    joined::leave_signals_to_the_run(py);
-    let pulled = py.detach(|| join_as_source(total)).map_err(|error| joined::refusal(py, &error))?;
+    let pulled = joined::join(py, || join_as_source(total))?;
     let joined = Joined::new(py, pulled.as_ref().map(|pulled| (pulled.context(), pulled.parameters())))?;
     let is_told = AtomicBool::new(joined.context.resume_at > 0);
     Bound::new(py, (Source { pulled: Mutex::new(pulled), inputs: Inputs::default(), is_told }, joined))
@@ -72,7 +73,8 @@ impl Source {
     /// The latest messages of the further inputs, by their names, as of the present frame; each may be missing.
     #[getter]
     fn inputs<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let found = self.pulled().as_ref().map(|pulled| joined::found(pulled.side_inputs())).unwrap_or_default();
+        let found = py.detach(|| self.pulled().as_ref().map(|pulled| joined::found(pulled.side_inputs())));
+        let found = found.unwrap_or_default();
         let inputs = PyDict::new(py);
         self.inputs.add_all(&inputs, found, monotonic_ns())?;
         Ok(inputs)
@@ -98,9 +100,18 @@ impl Source {
         let Some(output) = &context.output else { return Ok(()) };
         let (payload, change) = (Payload::new(output, items)?, HeaderChange::new(header)?);
         let mut header = Self::header(&context.stage);
+        let wanted = change.sequence();
         change.apply(&mut header, &payload);
+        if output.is_image() && !header.camera.has_intrinsics() {
+            return Err(fault::value("a depth image needs its camera", settings::CAMERA));
+        }
         slf.py().detach(|| match &mut *source.pulled() {
             Some(pulled) => {
+                let next = pulled.sequence();
+                if let Some(wanted) = wanted.filter(|wanted| *wanted < next) {
+                    let what = format!("`sequence` is {wanted}, but numbers of frames rise");
+                    return Err(fault::value(what, format!("give {next} or more, or none")));
+                }
                 pulled.send(header, &payload.bytes).map_err(|error| fault::told(&error))?;
                 if output.is_image() && !source.is_told.load(Ordering::Relaxed) {
                     source.tell(&context.stage, &header, bytemuck::cast_slice(&payload.bytes));
@@ -113,10 +124,8 @@ impl Source {
 
     /// Adds to a counter that the summary of the run shows.
     #[pyo3(signature = (name, times = 1))]
-    fn count(&self, name: &str, times: u64) {
-        if let Some(pulled) = &mut *self.pulled() {
-            pulled.count(name, times);
-        }
+    fn count(&self, py: Python<'_>, name: &str, times: u64) {
+        py.detach(|| self.pulled().iter_mut().for_each(|pulled| pulled.count(name, times)));
     }
 
     #[pyo3(signature = (kind, exception, _traceback))]

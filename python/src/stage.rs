@@ -37,8 +37,7 @@ pub(crate) struct Stage {
 #[pyfunction]
 #[pyo3(signature = (*, same_frame = Vec::new()))]
 pub(crate) fn stage(py: Python<'_>, same_frame: Vec<String>) -> PyResult<Bound<'_, Stage>> {
-    joined::leave_signals_to_the_run(py);
-    let pulled = py.detach(|| join_as_stage(&same_frame)).map_err(|error| joined::refusal(py, &error))?;
+    let pulled = joined::join(py, || join_as_stage(&same_frame))?;
     let joined = Joined::new(py, pulled.as_ref().map(|pulled| (pulled.context(), pulled.parameters())))?;
     let (topic, item) = pulled
         .as_ref()
@@ -101,10 +100,8 @@ impl Stage {
 
     /// Adds to a counter that the summary of the run shows.
     #[pyo3(signature = (name, times = 1))]
-    fn count(&self, name: &str, times: u64) {
-        if let Some(pulled) = &mut *self.pulled() {
-            pulled.count(name, times);
-        }
+    fn count(&self, py: Python<'_>, name: &str, times: u64) {
+        py.detach(|| self.pulled().iter_mut().for_each(|pulled| pulled.count(name, times)));
     }
 
     #[pyo3(signature = (kind, exception, _traceback))]

@@ -2,7 +2,9 @@
 
 import copy
 import json
+import pickle
 import threading
+import warnings
 
 import numpy as np
 import pytest
@@ -108,8 +110,10 @@ def test_what_is_no_depth_image_is_told(spoil, kind, told):
         ({"camera": (np.nan, 525, 1, 1)}, ValueError, "focal lengths"),
         ({"camera": CAMERA, "scale": 0}, ValueError, "`scale` is 0"),
         ({"camera": CAMERA, "scale": -0.001}, ValueError, "`scale` is -0.001"),
-        ({"camera": CAMERA, "noise": "kinect"}, ValueError, "`noise` is \"kinect\""),
-        ({"camera": CAMERA, "noise": {"flor_m": 1}}, ValueError, "`noise` is {"),
+        ({"camera": CAMERA, "noise": "kinect"}, ValueError, "`noise` cannot be `kinect`"),
+        ({"camera": CAMERA, "noise": {"flor_m": 1}}, ValueError, "unknown key `flor_m` in `noise`"),
+        ({"camera": CAMERA, "noise": {"floor_m": -1}}, ValueError, "`floor_m` is -1, allowed is from 0 to 1000"),
+        ({"camera": CAMERA, "noise": [0.5]}, ValueError, "`noise` wants a string or a table"),
         ({"camera": CAMERA, "noise": object()}, TypeError, "`noise`"),
     ],
 )
@@ -135,12 +139,57 @@ def test_a_detector_keeps_to_the_size_of_its_first_image():
     assert detector.rejections == {}
     detector.detect(scenes.millimetres())
     assert sum(detector.rejections.values()) > 0 and 0.2 < detector.noise_ratios[0] < 5
-    with pytest.raises(ValueError, match="has 19200 pixels, but the camera has 320x240"):
+    with pytest.raises(ValueError, match="is 160x120, the first one was 320x240\n  hint: make a Detector for each size"):
         detector.detect(scenes.millimetres()[::2, ::2])
-    with pytest.raises(ValueError, match="unknown parameter `line_stop`\n  hint: did you mean `line_step`"):
+    with pytest.raises(ValueError, match="unknown key `line_stop` in `extractor`\n  hint: did you mean `line_step`"):
         conicflow.Detector(CAMERA, extractor={"line_stop": 1})
     with pytest.raises(ValueError, match="`extractor`, `min_radius_m`: "):
-        conicflow.Detector(CAMERA, extractor={"max_radius_m": 0.0})
+        conicflow.Detector(CAMERA, extractor={"max_radius_m": 0.001})
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (lambda: conicflow.Detector(CAMERA, extractor={"line_step": 0}), "`line_step` is 0, allowed is from 1 to 64"),
+        (lambda: conicflow.Detector(CAMERA, extractor={"max_hole_px": 2**32 - 1}), "`max_hole_px` is 4294967295"),
+        (lambda: conicflow.Detector(CAMERA, assembler={"pooled": {"max_gap_lines": 10**9}}), "`max_gap_lines` is 1000000000"),
+        (lambda: conicflow.Detector(CAMERA, assembler={"pooled": 3}), "`pooled` wants a table, this is an integer"),
+        (lambda: conicflow.Tracker({"gate": -1}), "`gate` is -1, allowed is "),
+    ],
+)
+def test_parameters_are_checked_as_those_of_the_pipeline_file(make, told):
+    with pytest.raises(ValueError) as error:
+        make()
+    assert told in str(error.value) and "\n  hint: " in str(error.value)
+
+
+def test_a_parameter_that_is_none_has_its_default():
+    frame = scenes.millimetres()
+    plain, told = conicflow.Detector(CAMERA), conicflow.Detector(CAMERA, assembler={"pooled": {"budget_ms": None}})
+    assert plain.detect(frame) == told.detect(frame)
+
+
+def test_millimetres_as_real_numbers_are_warned_of():
+    frame = scenes.millimetres().astype(np.float32)
+    with pytest.warns(UserWarning, match="most of `depth` is beyond 16.38 m, and float32 is in metres\n  hint: "):
+        assert conicflow.detect(frame, camera=CAMERA, scale=0.001) == []
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(conicflow.detect(scenes.metres().astype(np.float32), camera=CAMERA)) == 3
+
+
+def test_records_are_copied_pickled_and_not_changed_by_their_lists():
+    for each in conicflow.detect(scenes.millimetres(), camera=CAMERA):
+        before = each.to_dict()
+        each.center[2] += 0.5
+        each.sigma.center[2] += 0.5
+        assert each.center == before["center"] and each.sigma.center == before["sigma"]["center"]
+        for other in (copy.copy(each), copy.deepcopy(each), pickle.loads(pickle.dumps(each))):
+            assert type(other) is conicflow.Object and other == each and other.to_dict() == before
+        make, (layout, content) = each.__reduce__()
+        for wrong in ((layout + "x", content), (layout, content[:-8]), (layout, b"\xff" * len(content))):
+            with pytest.raises(ValueError):
+                make(*wrong)
 
 
 def test_records_have_the_keys_of_their_line_as_attributes():
@@ -184,7 +233,7 @@ def test_the_tracker_tells_what_it_cannot_use():
     for pose in (np.zeros((3, 4)), np.eye(3), "here", 2 * np.eye(4)):
         with pytest.raises((TypeError, ValueError), match="`world_from_camera`"):
             tracker.update(objects, 1, world_from_camera=pose)
-    with pytest.raises(ValueError, match="unknown parameter `max_coast`\n  hint: did you mean `max_coast_s`"):
+    with pytest.raises(ValueError, match="unknown key `max_coast` in `parameters`\n  hint: did you mean `max_coast_s`"):
         conicflow.Tracker({"max_coast": 1})
 
 

@@ -248,6 +248,13 @@ with conicflow.source(total=5) as source:
     for number in source:
         if number == 5:
             break
+        for wrong in ({}, {"camera": scenes.CAMERA, "sequence": number - 1} if number else {}):
+            try:
+                source.send(scenes.millimetres(number), **wrong)
+            except ValueError as error:
+                assert ("needs its camera" if not wrong else "numbers of frames rise") in str(error), error
+            else:
+                raise AssertionError(wrong)
         source.send(scenes.millimetres(number), camera=scenes.CAMERA, stamp_ns=number * 10**9, source=f"frame {number}")
 """,
     )
@@ -349,10 +356,12 @@ with conicflow.stage() as stage, open("told.txt", "w") as told:
     assert told[4] == "a stage sends one message for each that it takes"
 
 
-def test_outside_of_a_run_there_is_a_hint(monkeypatch):
+def test_outside_of_a_run_there_is_a_hint_and_the_program_can_be_interrupted_as_before():
+    before = signal.getsignal(signal.SIGINT)
     for call in (conicflow.stage, conicflow.source):
         with pytest.raises(RuntimeError, match="is not set\n  hint: this program is a stage"):
             call()
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 SLEEPER = "import time\ntime.sleep(600)\n"

@@ -1,6 +1,7 @@
 //! What a run reads stays as it is to the byte, whatever its stages are asked to write.
 
-use crate::support::{Playground, RECORDING};
+use crate::processes::wait_for_lines;
+use crate::support::{Playground, RECORDING, TRACKING};
 use conicflow_lab::simulator::scene::Scene;
 use std::collections::BTreeMap;
 use std::fs;
@@ -108,6 +109,20 @@ fn no_two_stages_write_one_file() {
     let others = PICTURES.replace("stage.sink", "stage.others");
     let twice = "`path` of stage `others` writes what `path` of stage `sink` writes, too";
     expect_refused(&playground, &format!("{RECORDING}{PICTURES}path = \"a\"\n{others}path = \"a\"\n"), twice);
+}
+
+#[test]
+fn no_two_pipelines_that_run_write_one_file() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let mut run = playground.start(&["run", "--set", "source.rate_hz=30"]);
+    wait_for_lines(&mut run, &playground);
+    playground.write("second.toml", &TRACKING.replace("\"tracking\"", "\"second\""));
+    let refused = playground.conicflow(&["run", "second.toml"]).expect_code(2);
+    refused.expect_told(&[
+        "`path` of stage `json` writes what `path` of stage `json` of the running pipeline `tracking` writes",
+    ]);
+    playground.conicflow(&["run", "second.toml", "--frames", "3", "--set", "json.path=other.jsonl"]).expect_code(0);
+    run.end();
 }
 
 #[test]

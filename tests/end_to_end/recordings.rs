@@ -136,6 +136,25 @@ fn a_recorder_that_is_replaced_leaves_two_recordings_and_no_empty_file() {
     }
 }
 
+/// Files that are there stay as they are.
+#[test]
+fn a_recording_that_a_swap_begins_lies_where_it_was_to_and_goes_on_with_no_other_file() {
+    let playground = Playground::with_pipeline(TRACKING);
+    playground.write("earlier.jsonl", "{\"sequence\": 7}\n");
+    let mut run = playground.start(&["run", "--set", "source.rate_hz=100"]);
+    wait_for_lines(&mut run, &playground);
+    let swap = ["swap", "json", "--set"];
+    let refused = playground.conicflow(&[&swap[..], &["path=earlier.jsonl"]].concat()).expect_code(2);
+    refused.expect_told(&["would go on with", "earlier.jsonl`, which is there already\n  hint: name another file"]);
+    playground.conicflow(&[&swap[..], &["path=run.mcap", "--node", "mcap_sink"]].concat()).expect_code(0);
+    run.wait_until("it is recorded", || {
+        fs::metadata(playground.path("run.mcap")).is_ok_and(|about| about.len() > 10_000)
+    });
+    run.end();
+    assert!(!playground.path("run_1.mcap").exists());
+    assert_eq!(playground.lines("earlier.jsonl").len(), 1);
+}
+
 #[test]
 fn an_onlooker_s_recording_ends_where_it_is_as_large_as_it_may_be() {
     let (playground, run) = at_work(TRACKING, 500);

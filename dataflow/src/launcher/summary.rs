@@ -167,7 +167,11 @@ impl Summary {
     fn dropped_by(&self, planned: &PlannedStage, status: &Status, index: usize) -> u64 {
         let is_over = status.life().is_over();
         let lost = self.lost_by(planned, status, index).filter(|_| is_over);
-        status.inputs[index].dropped.max(lost.map_or(0, |[lost, _]| lost))
+        // Processes that died of each message had no time to count any.
+        let is_hopeless = is_over && status.starts > 1 && status.inputs[index].received == 0;
+        let topic = planned.wiring.inputs().nth(index).filter(|_| is_hopeless);
+        let sent = topic.into_iter().flat_map(|topic| &topic.writers).filter_map(|writer| self.sent_by(writer)).sum();
+        status.inputs[index].dropped.max(lost.map_or(0, |[lost, _]| lost)).max(sent)
     }
 
     /// How many messages a stage has sent; `None` where it has no record here.
@@ -440,7 +444,8 @@ pub(super) mod tests {
     fn what_a_lossless_reader_did_not_get_makes_a_run_incomplete() {
         let topic = conicflow_messages::Text::new("in");
         let counts = |received: u64, dropped: u64| InputCounts { topic, received, dropped, ..InputCounts::default() };
-        let lost = |run: Summary| run.lost().into_iter().map(|lost| lost.count).collect::<Vec<_>>();
+        let lost_of = |run: &Summary| run.lost().into_iter().map(|lost| lost.count).collect::<Vec<_>>();
+        let lost = |run: Summary| lost_of(&run);
         assert_eq!(lost(lossless(counts(40, 0), "writer")), [[0; 2]; 0]);
         assert_eq!(lost(lossless(counts(37, 0), "writer")), [[3, 40]]);
         assert_eq!(lost(lossless(counts(37, 3), "writer")), [[3, 40]]);
@@ -465,6 +470,12 @@ pub(super) mod tests {
         let text = over.to_string();
         let dropped = |topic: &str| text.lines().find(|line| line.starts_with(topic))?.split_whitespace().nth(3);
         assert_eq!([dropped("in "), dropped("aside ")], [Some("3"), Some("0")], "{text}");
+        let mut hopeless = lossless(counts(0, 0), "writer");
+        hopeless.stages[0].planned.wiring.input.as_mut().unwrap().readers[0].delivery = Delivery::Latest;
+        hopeless.stages[0].status.as_mut().unwrap().set_life(Life::Gone);
+        assert_eq!((hopeless.dropped(), lost_of(&hopeless)), (0, vec![]), "it may have come too late for all of them");
+        hopeless.stages[0].status.as_mut().unwrap().starts = 3;
+        assert_eq!((hopeless.dropped(), lost_of(&hopeless)), (40, vec![]), "each process died of its first message");
         let mut sated = lossless(counts(37, 0), "writer");
         sated.stages[0].status.as_mut().unwrap().had_enough = 1;
         assert_eq!(lost(sated), [[0; 2]; 0], "it wanted no more");

@@ -4,6 +4,8 @@
 
 use super::diagnostic::{Diagnostic, Place, closest, suggestion};
 use super::value::{Content, Table, Value};
+use conicflow_messages::Hinted;
+use schemars::JsonSchema;
 use serde_json::Value as Json;
 
 /// Checks the entries of `table` against the object schema `schema`; `owner` names whose parameters they are.
@@ -12,6 +14,21 @@ pub(crate) fn check_table(table: &Table, schema: &Json, reserved: &[&str], owner
     let mut checker = Checker { root: schema, faults: Vec::new() };
     checker.table(table, schema, reserved, owner);
     checker.faults
+}
+
+/// The first thing that is wrong with a value that is described as in a pipeline file, but comes from elsewhere, such as from a
+/// program in Python: a name, a type or a range that the schema of `T` does not have. `name` is what it is called there.
+pub fn value_fault<T: JsonSchema>(name: &str, value: &Json) -> Option<Hinted> {
+    let schema = schema_of::<T>();
+    let mut checker = Checker { root: &schema, faults: Vec::new() };
+    checker.value(name, &Value::without_place(value), &schema);
+    let Diagnostic { what, hint, .. } = checker.faults.into_iter().next()?;
+    Some(Hinted::new(what, hint))
+}
+
+/// The JSON schema of a type.
+pub(crate) fn schema_of<T: JsonSchema>() -> Json {
+    schemars::SchemaGenerator::default().into_root_schema_for::<T>().to_value()
 }
 
 struct Checker<'a> {
@@ -189,4 +206,47 @@ fn expected(alternatives: &[&Json]) -> String {
 fn allowed_words(schema: &Json) -> Vec<&str> {
     let list = schema.get("enum").and_then(Json::as_array).into_iter().flatten();
     list.chain(schema.get("const")).filter_map(Json::as_str).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[derive(JsonSchema)]
+    #[expect(dead_code, reason = "its schema alone is looked at")]
+    struct Limits {
+        /// How many.
+        #[schemars(range(min = 1, max = 64))]
+        count: Option<u32>,
+        inner: Inner,
+    }
+
+    #[derive(JsonSchema)]
+    #[expect(dead_code, reason = "its schema alone is looked at")]
+    struct Inner {
+        word: String,
+    }
+
+    #[test]
+    fn a_value_from_elsewhere_is_checked_as_one_of_a_file() {
+        let fault = |value: Json| value_fault::<Limits>("limits", &value).map(|fault| fault.what);
+        for good in
+            [json!({ "count": 64, "inner": { "word": "a" } }), json!({ "count": null, "inner": { "word": "" } })]
+        {
+            assert_eq!(fault(good), None);
+        }
+        for (wrong, told) in [
+            (json!(7), "`limits` wants a table, this is an integer"),
+            (json!({ "count": 65, "inner": { "word": "a" } }), "`count` is 65, allowed is from 1 to 64"),
+            (json!({ "count": 1e30, "inner": { "word": "a" } }), "`count` wants an integer, this is a number"),
+            (json!({ "cuont": 1, "inner": { "word": "a" } }), "unknown key `cuont` in `limits`"),
+            (json!({ "inner": {} }), "`inner` lacks `word`"),
+            (json!({ "inner": { "word": [] } }), "`word` wants a string, this is an array"),
+        ] {
+            assert_eq!(fault(wrong).as_deref(), Some(told));
+        }
+        let told = value_fault::<Limits>("limits", &json!({ "count": 0 })).unwrap();
+        assert_eq!(told.hint, "How many.");
+    }
 }

@@ -102,6 +102,31 @@ impl Value {
         if let Content::Table(table) = &mut self.content { Some(table) } else { None }
     }
 
+    /// A value that stands in no file.
+    pub(crate) fn without_place(value: &serde_json::Value) -> Self {
+        use serde_json::Value as Json;
+        let nowhere = || Place { source: Arc::default(), span: 0..0 };
+        let entry = |(key, value): (&String, &Json)| Entry {
+            key: key.clone(),
+            key_place: nowhere(),
+            value: Self::without_place(value),
+        };
+        let content = match value {
+            Json::Null => Content::Float(f64::NAN),
+            Json::Bool(truth) => Content::Boolean(*truth),
+            Json::Number(number) => {
+                number.as_i64().map_or_else(|| Content::Float(number.as_f64().unwrap_or(f64::NAN)), Content::Integer)
+            }
+            Json::String(text) => Content::String(text.clone()),
+            Json::Array(values) => Content::Array(values.iter().map(Self::without_place).collect()),
+            // TOML has no word for nothing: what is not there has its default.
+            Json::Object(entries) => {
+                Content::Table(Table(entries.iter().filter(|(_, value)| !value.is_null()).map(entry).collect()))
+            }
+        };
+        Self { content, place: nowhere() }
+    }
+
     /// The word for what it holds.
     pub(crate) fn type_name(&self) -> &'static str {
         match self.content {

@@ -103,6 +103,11 @@ impl PulledSource {
         Ok(())
     }
 
+    /// The least number that the next message can have.
+    pub fn sequence(&self) -> u64 {
+        self.place.sequence
+    }
+
     /// The frame that is being made, if one is.
     pub fn frame(&self) -> Option<u64> {
         self.started.map(|_| self.place.sequence)

@@ -84,7 +84,7 @@ impl<T: Transport> StagePlace<T> {
         output_port.resume(runtime.record.status.sent);
         runtime.begin(None);
         let StageRuntime { context, peers, record, handover, lock, .. } = runtime;
-        Ok(Self {
+        let mut place = Self {
             input_port,
             side_inputs,
             output_port,
@@ -96,7 +96,10 @@ impl<T: Transport> StagePlace<T> {
             leaves_at: None,
             last_came: Instant::now(),
             _lock: lock,
-        })
+        };
+        // That there are inputs is shown also of a stage that dies of its first message.
+        place.keep_inputs();
+        Ok(place)
     }
 
     /// Waits for the next message; `None` when no more will come, or the run is to end.

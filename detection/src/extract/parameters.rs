@@ -49,7 +49,8 @@ pub struct ExtractorParameters {
     /// Smallest radius of a circle through an arc, in metres; with `arcs = "conic"` smallest semi-axis of an ellipse.
     #[schemars(range(min = 0.001, max = 10.0))]
     pub min_radius_m: f64,
-    /// Largest radius, in metres: what is wider than twice this is a wall. With `arcs = "conic"` largest semi-axis of an ellipse.
+    /// Largest radius of what is no wall, in metres: lines wider than twice this are none of an object, whose own limits the
+    /// assembler has. With `arcs = "conic"` largest semi-axis of an ellipse.
     #[schemars(range(min = 0.001, max = 10.0))]
     pub max_radius_m: f64,
 }
