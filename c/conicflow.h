@@ -79,7 +79,8 @@ conicflow_detector *conicflow_create(const conicflow_camera *camera, double dept
  * Finds the objects of a depth image, row by row, of the size of the camera. 0 and 65535 are no measurement.
  *
  * row_bytes: from the beginning of a row to that of the next; 0 where rows follow each other without a gap.
- * objects: is set to the objects found, which belong to the detector until its next call.
+ * objects: is set to the objects found, which belong to the detector until its next call; to NULL if there are none, and left alone
+ *     if it fails.
  * Returns how many there are, 0 where nothing was found; -1 if something is wrong, and conicflow_error() tells what.
  */
 int conicflow_detect(conicflow_detector *detector, const uint16_t *depth, size_t row_bytes,

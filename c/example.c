@@ -11,12 +11,24 @@
 #include <stdio.h>
 #include <stdlib.h>
 
+/* The next number in the head of a PGM, in which lines that begin with # say nothing; 0 if there is none. */
+static unsigned read_number(FILE *file) {
+    unsigned number = 0;
+    while (fscanf(file, " %u", &number) != 1 && fgetc(file) == '#') {
+        for (int c = 0; c != '\n' && c != EOF;) c = fgetc(file);
+    }
+    return number;
+}
+
 /* The pixels of a PGM, which has the higher byte of each first; NULL if it is none. */
 static uint16_t *read_pgm(const char *path, conicflow_camera *camera) {
     FILE *file = fopen(path, "rb");
-    unsigned most = 0;
     uint16_t *depth = NULL;
-    if (file && fscanf(file, "P5 %u %u %u", &camera->width, &camera->height, &most) == 3 && most == 65535) {
+    if (file && fgetc(file) == 'P' && fgetc(file) == '5') {
+        camera->width = read_number(file);
+        camera->height = read_number(file);
+    }
+    if (file && camera->width && camera->height && read_number(file) == 65535) {
         size_t pixels = (size_t)camera->width * camera->height;
         unsigned char *bytes = calloc(pixels, 2);
         depth = calloc(pixels, sizeof *depth);

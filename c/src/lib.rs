@@ -13,6 +13,7 @@ use conicflow_detection::{Camera, Detector, Object};
 use conicflow_messages::Hinted;
 use image::Image;
 use std::ffi::{CStr, c_char, c_int};
+use std::ptr;
 
 /// What ends in a zero, as texts of C do.
 const VERSION: &CStr = match CStr::from_bytes_with_nul(concat!(env!("CARGO_PKG_VERSION"), "\0").as_bytes()) {
@@ -48,7 +49,7 @@ pub unsafe extern "C" fn conicflow_create(
         let noise = (!noise.is_null()).then(|| unsafe { CStr::from_ptr(noise) });
         create(camera, depth_scale, noise)
     });
-    created.map_or(std::ptr::null_mut(), |detector| Box::into_raw(Box::new(detector)))
+    created.map_or(ptr::null_mut(), |detector| Box::into_raw(Box::new(detector)))
 }
 
 fn create(camera: Camera, depth_scale: f64, noise: Option<&CStr>) -> Result<CDetector, Hinted> {
@@ -116,8 +117,9 @@ unsafe fn answer(
             return Err(is_null("objects"));
         }
         detector.objects = find(detector)?;
+        let first = detector.objects.first().map_or(ptr::null(), ptr::from_ref);
         // SAFETY: the caller vouches for it; what is there may not have been written before.
-        unsafe { objects.write(detector.objects.as_ptr()) };
+        unsafe { objects.write(first) };
         // The detector reports some dozens of objects at most.
         Ok(c_int::try_from(detector.objects.len()).unwrap_or(c_int::MAX))
     });

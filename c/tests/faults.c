@@ -41,7 +41,9 @@ int main(void) {
     told("half a pixel", conicflow_detect(detector, depth, 9, &objects) == -1);
     told("no such memory", conicflow_detect_metres(detector, metres, SIZE_MAX - 3, &objects) == -1);
     told("odd address", conicflow_detect(detector, (const uint16_t *)((const char *)depth + 1), 0, &objects) == -1);
+    objects = (const conicflow_object *)depth;
     printf("an empty image: %d\n", conicflow_detect(detector, depth, 0, &objects));
+    printf("its objects: %s\n", objects ? "something" : "NULL");
     conicflow_free(detector);
     conicflow_free(NULL);
     return 0;

@@ -14,6 +14,8 @@ use tracing_subscriber::{Layer, Registry};
 
 /// Environment variable: what is logged, as a level or a filter.
 pub const LOG: &str = "CONICFLOW_LOG";
+/// Environment variable: if it is there, and not empty, each line begins with the time, UTC.
+const LOG_TIME: &str = "CONICFLOW_LOG_TIME";
 /// What is logged where nothing is said.
 pub const DEFAULT_LOG: &str = "info";
 
@@ -53,10 +55,12 @@ pub fn log_beside(filter: &str, ear: impl Layer<Registry> + Send + Sync) {
     let targets: Targets = [("zenoh", LevelFilter::ERROR)].into_iter().chain(parts).collect();
     let is_terminal = stderr().is_terminal();
     let writer = move || Lines { place: stderr(), begin: if is_terminal { CLEAR_LINE } else { "" } };
-    let layer = tracing_subscriber::fmt::layer().with_writer(writer).without_time().with_target(false);
+    let layer = tracing_subscriber::fmt::layer().with_writer(writer).with_target(false);
     // A log that nobody reads any more is no fault of the run.
     let layer =
         layer.with_ansi(is_terminal).log_internal_errors(false).fmt_fields(debug_fn(write_field).delimited(" "));
+    let is_timed = std::env::var_os(LOG_TIME).is_some_and(|said| !said.is_empty());
+    let layer = if is_timed { layer.boxed() } else { layer.without_time().boxed() };
     tracing_subscriber::registry().with(ear).with(layer.with_filter(targets)).try_init().ok();
 }
 

@@ -160,8 +160,11 @@ fn who_has_a_program_in_c_gets_objects_from_the_library() {
     }
     let folder = checkout();
     let pixels = ball_before_a_wall(640, 480, 525.0).into_iter().flat_map(u16::to_be_bytes);
-    fs::write(folder.join("frame.pgm"), b"P5\n640 480\n65535\n".iter().copied().chain(pixels).collect::<Vec<_>>())
-        .unwrap();
+    fs::write(
+        folder.join("frame.pgm"),
+        b"P5\n# as GIMP writes it\n640 480\n65535\n".iter().copied().chain(pixels).collect::<Vec<_>>(),
+    )
+    .unwrap();
     let [command] = commands("a program in C")[..] else { panic!("one command") };
     let block = include_str!("../../docs/c.md").split("```console\n").nth(1).unwrap().split("```").next().unwrap();
     let lines: Vec<_> = block.lines().filter_map(|line| line.strip_prefix("$ ")).collect();

@@ -369,3 +369,16 @@ fn the_level_of_the_log_is_that_of_the_stages_as_well() {
     }
     assert!(!faults.contains("2 frames of 160x120"), "{faults}");
 }
+
+#[test]
+fn a_log_has_the_time_of_each_line_where_that_is_wanted() {
+    let playground = recording(8..10);
+    for (said, is_timed) in [("1", true), ("", false)] {
+        let output = playground.command(&["run"]).env("CONICFLOW_LOG_TIME", said).output().unwrap();
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        let line =
+            stderr.lines().find(|line| line.contains("2 frames of 160x120")).unwrap_or_else(|| panic!("{stderr}"));
+        let begin = line.split(" INFO").next().unwrap();
+        assert_eq!(begin.len() > 20 && begin.starts_with("20") && begin.trim_end().ends_with('Z'), is_timed, "{line}");
+    }
+}

@@ -395,7 +395,9 @@ impl Links {
         let mut states = BTreeMap::new();
         for (machine, peer) in lock(&self.peers).iter_mut() {
             if peer.since.is_some() && !is_connected(peer, now) {
-                tracing::warn!("the link to machine `{machine}` is down");
+                let comes = self.routes.iter().any(|route| route.from == *machine);
+                let waits = if comes { "; what comes from there is waited for, also in its next run" } else { "" };
+                tracing::warn!("the link to machine `{machine}` is down{waits}");
                 peer.since = None;
             }
             if now.saturating_duration_since(self.started) > PATIENCE {
