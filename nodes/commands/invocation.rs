@@ -53,7 +53,7 @@ impl FileArguments {
         let file = self.file.as_deref().or(default.is_file().then_some(default));
         let Some(file) = file else {
             let source = SourceText { name: "built-in pipeline".to_owned(), text: BUILT_IN.to_owned() };
-            return Ok((source, std::env::current_dir()?));
+            return Ok((source, in_utf8(std::env::current_dir()?)?));
         };
         let text = read_text(file, MOST_BYTES).map_err(|error| {
             let hint = match error.kind() {
@@ -66,8 +66,15 @@ impl FileArguments {
             anyhow!(Hinted::new(format!("cannot read the pipeline file `{}`: {error}", file.display()), hint))
         })?;
         let folder = file.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
-        Ok((SourceText { name: file.display().to_string(), text }, folder.canonicalize()?))
+        Ok((SourceText { name: file.display().to_string(), text }, in_utf8(folder.canonicalize()?)?))
     }
+}
+
+/// A folder, whose name goes to the stages as text.
+fn in_utf8(folder: PathBuf) -> anyhow::Result<PathBuf> {
+    let hint = "rename it, or put the pipeline file into another folder";
+    let fault = || Hinted::new(format!("the name of the folder `{}` is not UTF-8", folder.display()), hint);
+    if folder.to_str().is_some() { Ok(folder) } else { bail!(fault()) }
 }
 
 /// Makes sure that a pipeline of several machines says which of them this is, and that it has that one.

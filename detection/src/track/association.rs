@@ -2,6 +2,8 @@
 
 use pathfinding::kuhn_munkres::kuhn_munkres;
 use pathfinding::matrix::Matrix;
+use pathfinding::undirected::connected_components::components;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// What it costs a track to stay alone. As minus twice the logarithm of a density, in 1/m^4 over place and radius, less the
 /// 4 ln 2 pi that pairs leave out, too: one new object in 6000 cubic metres for each metre of radius, so that all but the
@@ -11,6 +13,13 @@ const COST_ALONE: f64 = 10.0; // [tuned]
 const STEPS: f64 = 1e6; // [algorithmic]
 /// The gain of a pair that must not be: less than all others together can make good.
 const FORBIDDEN: i64 = -1_000_000_000_000_000; // [algorithmic]
+
+/// What is paired, by its index.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+enum Node {
+    Track(usize),
+    Detection(usize),
+}
 
 /// Pairs tracks with detections, each at most once.
 ///
@@ -38,11 +47,35 @@ impl Association {
         if tracks.is_empty() || detections.is_empty() {
             return;
         }
+        let mut gains_of = BTreeMap::new();
+        let mut beside: Vec<_> = tracks.iter().map(|&track| vec![Node::Track(track)]).collect();
+        for (beside, &track) in beside.iter_mut().zip(&tracks) {
+            for &detection in &detections {
+                if let Some(cost) = cost(track, detection) {
+                    gains_of.insert((track, detection), gain(cost));
+                    beside.push(Node::Detection(detection));
+                }
+            }
+        }
+        // Those that no pair joins do not ask for the same: each group is small, however many there are.
+        for group in components(&beside) {
+            self.assign_group(&group.into_iter().collect(), &gains_of);
+        }
+    }
+
+    fn assign_group(&mut self, group: &BTreeSet<Node>, gains_of: &BTreeMap<(usize, usize), i64>) {
+        let (mut tracks, mut detections) = (Vec::new(), Vec::new());
+        for node in group {
+            match *node {
+                Node::Track(track) => tracks.push(track),
+                Node::Detection(detection) => detections.push(detection),
+            }
+        }
         // one column for each detection, and one for each track to stay alone in
         let mut gains = Matrix::new(tracks.len(), detections.len() + tracks.len(), 0);
         for (row, &track) in tracks.iter().enumerate() {
             for (column, &detection) in detections.iter().enumerate() {
-                gains[(row, column)] = cost(track, detection).map_or(FORBIDDEN, gain);
+                gains[(row, column)] = gains_of.get(&(track, detection)).copied().unwrap_or(FORBIDDEN);
             }
         }
         let (_, columns) = kuhn_munkres(&gains);
@@ -126,6 +159,23 @@ mod tests {
             Some(0.0)
         });
         assert_eq!(association.detections(), [Some(0), Some(1)]);
+    }
+
+    /// Each of many tracks is near one detection of its own and the next one's.
+    #[test]
+    fn many_tracks_take_what_is_best_for_all() {
+        let many = 400;
+        let mut association = Association::default();
+        association.reset(many, many);
+        let began = std::time::Instant::now();
+        association.assign(|track, detection| match detection.checked_sub(track) {
+            Some(0) => Some(2.0),
+            Some(1) if track % 4 < 3 => Some(1.0),
+            _ => None,
+        });
+        // Of four in a row the first three would rather have the next one's, and the fourth would be left with nothing.
+        assert!(association.detections().iter().enumerate().all(|(track, paired)| *paired == Some(track)));
+        assert!(began.elapsed().as_secs() < 5, "{:?}", began.elapsed());
     }
 
     #[test]
