@@ -2,7 +2,7 @@
 
 use crate::certificates;
 use crate::wire::MAX_MESSAGE;
-use conicflow_dataflow::pipeline::{Machine, check_endpoint};
+use conicflow_dataflow::pipeline::{Machine, check_endpoint, split_endpoint};
 use conicflow_dataflow::{Hinted, LinkKey};
 use rustls::pki_types::UnixTime;
 use serde_json::{Value as Json, json};
@@ -189,11 +189,6 @@ fn retain_strings(value: &mut Json, wanted: fn(&str) -> bool) {
         Json::Object(entries) => entries.values_mut().for_each(|value| retain_strings(value, wanted)),
         _ => {}
     }
-}
-
-/// The protocol and the address of an endpoint.
-fn split_endpoint(endpoint: &str) -> Option<(&str, &str)> {
-    endpoint.split(['#', '?']).next()?.split_once('/')
 }
 
 /// Whether nobody but this host's users can reach it.

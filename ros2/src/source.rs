@@ -313,7 +313,7 @@ impl<M: Middleware> Ros2Source<M> {
         self.transforms.pose(self.config.world.as_deref()?, stamped.frame_id, stamped.stamp_ns)
     }
 
-    /// Counts a frame without the pose that is wanted; told is it once, when frames have gone without for long.
+    /// Counts a frame without the pose that is wanted; when frames have gone without for long, that is told once.
     fn look_for_pose(&mut self, header: &Header, output: &mut Output<u16>) {
         let Some(world) = self.config.world.as_deref().filter(|_| header.pose().is_none()) else {
             self.without_pose = None;

@@ -2,7 +2,7 @@
 
 use super::finding::Finding;
 use crate::network::{BridgePlan, Network};
-use crate::pipeline::check_host;
+use crate::pipeline::{check_host, split_endpoint};
 use crate::plan::{Plan, Runs};
 use conicflow_messages::Hinted;
 use std::io::{self, ErrorKind};
@@ -39,8 +39,7 @@ fn bridges<'a>(plans: &[&'a Plan]) -> impl Iterator<Item = &'a BridgePlan> {
 }
 
 fn taken(machine: &str, endpoint: &str) -> Option<Hinted> {
-    let address = endpoint.split(['#', '?']).next()?;
-    let (protocol, address) = address.split_once('/')?;
+    let (protocol, address) = split_endpoint(endpoint)?;
     let error = bind(protocol, address).err()?;
     Some(Hinted::new(format!("machine `{machine}` cannot listen on `{endpoint}`: {error}"), hint(&error, address)?))
 }

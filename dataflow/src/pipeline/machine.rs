@@ -48,7 +48,7 @@ pub enum Compression {
 /// # Errors
 /// It cannot.
 pub fn check_endpoint(endpoint: &str) -> Result<(), Hinted> {
-    let parts = address(endpoint).and_then(|(protocol, address)| Some((protocol, address.rsplit_once(':')?)));
+    let parts = split_endpoint(endpoint).and_then(|(protocol, address)| Some((protocol, address.rsplit_once(':')?)));
     let is_known = |protocol| matches!(protocol, "tcp" | "udp" | "tls" | "quic");
     let is_host = |host: &str| !host.is_empty() && !host.contains('/');
     let in_brackets = |host: &str| host.starts_with('[') && host.ends_with(']');
@@ -69,13 +69,13 @@ pub fn check_endpoint(endpoint: &str) -> Result<(), Hinted> {
 /// # Errors
 /// It has none.
 pub fn check_host(endpoint: &str) -> Result<(), Hinted> {
-    let found = address(endpoint).map(|(_, address)| address.to_socket_addrs());
+    let found = split_endpoint(endpoint).map(|(_, address)| address.to_socket_addrs());
     let Some(Err(error)) = found else { return Ok(()) };
     let hint = "is its name right? its address will do as well, such as tcp/192.168.0.2:7447";
     Err(Hinted::new(format!("the host of `{endpoint}` is not known here: {error}"), hint))
 }
 
 /// The protocol of an endpoint, and its host with the port.
-fn address(endpoint: &str) -> Option<(&str, &str)> {
+pub fn split_endpoint(endpoint: &str) -> Option<(&str, &str)> {
     endpoint.split(['#', '?']).next()?.split_once('/')
 }

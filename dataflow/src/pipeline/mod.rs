@@ -17,7 +17,7 @@ mod value;
 
 pub use diagnostic::{Diagnostic, Report, Severity, SourceText, suggestion};
 pub use file_schema::file_schema;
-pub use machine::{BRIDGE, Compression, Machine, check_endpoint, check_host};
+pub use machine::{BRIDGE, Compression, Machine, check_endpoint, check_host, split_endpoint};
 pub use metrics::Metrics;
 pub use read::MAX_STAGE_NAME;
 pub(crate) use read::stages::TIME_TO_JOIN_S;

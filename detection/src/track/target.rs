@@ -17,6 +17,9 @@ const KIND_CHANGE_COST: f64 = 4.0; // [tuned]
 /// may be anywhere.
 const MANOEUVRE_UNSEEN_S: f64 = 0.2; // [tuned]
 
+/// After so many sights it takes as many and one more to turn the axis of a cone over, however often it was seen.
+const SURE_OF_SENSE: u32 = 10; // [algorithmic]
+
 /// The least half-angle that a cone is given, in radians: its apex stays finite.
 const MIN_HALF_ANGLE: f64 = 1e-6; // [algorithmic]
 
@@ -34,6 +37,8 @@ pub struct Target {
     radius: Size,
     length: Size,
     axis: Option<Axis>,
+    /// So many more sights had the axis of a cone this way than the other way round; a sight that goes beyond that turns it over.
+    sense: u32,
     half_angle: Option<Size>,
     common: CommonError,
     last_seen: Object,
@@ -83,6 +88,7 @@ impl Target {
             radius: first.radius,
             length: first.length,
             axis: first.axis,
+            sense: 1,
             half_angle: first.half_angle,
             common: CommonError::of(first, config.common_share),
             last_seen: first.object,
@@ -232,16 +238,29 @@ impl Target {
         {
             axis.direction = -axis.direction;
         }
+        self.sense = 0;
     }
 
+    /// The direction of the axis is filtered as that of a line. Which way the axis of a cone points is not a matter of more or less:
+    /// that holds which was seen most often of late.
     fn turn(&mut self, detection: &Detection) {
         let Some(seen) = detection.axis else { return };
-        let is_line = !self.kind.has_half_angle() || !detection.kind.has_half_angle();
-        match &mut self.axis {
-            Some(axis) => {
-                axis.update(seen, is_line);
+        let Some(axis) = &mut self.axis else {
+            self.axis = Some(seen);
+            return;
+        };
+        let agrees = axis.direction.dot(&seen.direction) >= 0.0;
+        axis.update(seen);
+        if !self.kind.has_half_angle() || !detection.kind.has_half_angle() {
+            return;
+        }
+        match (agrees, self.sense) {
+            (true, sense) => self.sense = SURE_OF_SENSE.min(sense + 1),
+            (false, 0) => {
+                axis.direction = -axis.direction;
+                self.sense = 1;
             }
-            None => self.axis = Some(seen),
+            (false, sense) => self.sense = sense - 1,
         }
     }
 
