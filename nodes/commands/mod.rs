@@ -292,7 +292,8 @@ fn run(arguments: &RunArguments, log: &str) -> anyhow::Result<ExitCode> {
 
 /// Makes sure that no pipeline runs which has the name of this one, or writes its files.
 fn look_beside(plan: &Plan) -> anyhow::Result<()> {
-    for other in RunningPipeline::all()? {
+    // A folder that cannot be read is told of when the run begins.
+    for other in RunningPipeline::all().unwrap_or_default() {
         if other.plan.pipeline == plan.pipeline {
             bail!(LaunchError::from(FolderError::Running { name: other.plan.pipeline }));
         }
