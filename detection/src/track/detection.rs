@@ -58,6 +58,24 @@ impl Detection {
     }
 }
 
+impl Detection {
+    /// What it tells of an object `seconds` later: less, by what moves and changes an object in that time.
+    ///
+    /// Of a position `p + dt v` that went before noise `Q` of acceleration, `[I, -dt I] Q [I, -dt I]' = q dt^3 / 3`.
+    pub fn told_later(&self, seconds: f64, config: &TrackerParameters) -> Self {
+        let later = |size: Size, drift: f64| size.predicted(seconds, drift);
+        let spread = config.acceleration.powi(2) * seconds.powi(3) / 3.0;
+        Self {
+            covariance: self.covariance + Matrix3::from_diagonal_element(spread),
+            radius: later(self.radius, config.drift_radius_m),
+            length: later(self.length, config.drift_length_m),
+            axis: self.axis.map(|axis| axis.predicted(seconds, config.drift_axis_deg.to_radians())),
+            half_angle: self.half_angle.map(|angle| later(angle, config.drift_half_angle_deg.to_radians())),
+            ..self.clone()
+        }
+    }
+}
+
 fn variance(sigma: f64, floor: f64) -> f64 {
     sigma * sigma + floor * floor
 }

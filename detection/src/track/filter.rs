@@ -54,7 +54,12 @@ impl Motion {
     pub fn predict(&mut self, dt: f64, density: f64) {
         self.acceleration = Vector3::zeros();
         self.move_in_time(dt);
-        self.covariance += blocks(dt.powi(3) / 3.0, dt.powi(2) / 2.0, dt) * density;
+        self.blur(dt, density);
+    }
+
+    /// Adds what acceleration noise does in `dt` seconds, negative ones for the way back: `F^-1 Q F^-T`, which is `-Q(-dt)`.
+    pub fn blur(&mut self, dt: f64, density: f64) {
+        self.covariance += blocks(dt.powi(3) / 3.0, dt.powi(2) / 2.0, dt) * (density * dt.signum());
     }
 
     /// The same motion `dt` seconds later, or before where that is negative, with no more noise than it has. To measure at
@@ -147,9 +152,9 @@ impl Size {
         Self { value, variance }
     }
 
-    /// Goes on by `dt` seconds; the size drifts by `drift` per square root of a second.
-    pub fn predict(&mut self, dt: f64, drift: f64) {
-        self.variance += drift * drift * dt;
+    /// The size `dt` seconds later; it drifts by `drift` per square root of a second.
+    pub fn predicted(&self, dt: f64, drift: f64) -> Self {
+        Self { variance: self.variance + drift * drift * dt, ..*self }
     }
 
     /// Squared difference to a measurement, in units of its variance.
@@ -193,9 +198,9 @@ impl Axis {
         Self { direction, variance }
     }
 
-    /// Goes on by `dt` seconds; the axis turns by `drift` radians per square root of a second, in each direction across.
-    pub fn predict(&mut self, dt: f64, drift: f64) {
-        self.variance += drift * drift * dt;
+    /// The axis `dt` seconds later; it turns by `drift` radians per square root of a second, in each direction across.
+    pub fn predicted(&self, dt: f64, drift: f64) -> Self {
+        Self { variance: self.variance + drift * drift * dt, ..*self }
     }
 
     /// Angle to a measurement as a line, in radians; the sign does not count.
@@ -336,9 +341,9 @@ mod tests {
         let (drift, dt, noise) = (0.01, 0.25, 4e-4);
         let (mut size, mut axis) = (Size::new(1.0, 10.0), Axis::new(Vector3::y_axis(), 10.0));
         for _ in 0..500 {
-            size.predict(dt, drift);
+            size = size.predicted(dt, drift);
             size.update(Size::new(1.0, noise));
-            axis.predict(dt, drift);
+            axis = axis.predicted(dt, drift);
             axis.update(Axis::new(Vector3::y_axis(), noise));
         }
         let walk: f64 = drift * drift * dt;
@@ -376,7 +381,7 @@ mod tests {
         assert!(line.direction.x < 0.0 && (line.variance - 0.005).abs() < 1e-15);
         for k in 0..1000 {
             let tilt = Vector3::new(f64::from(k).sin() * 0.1, -1.0, f64::from(k).cos() * 0.1);
-            line.predict(0.03, 0.2);
+            line = line.predicted(0.03, 0.2);
             line.update(Axis::new(UnitVector3::new_normalize(tilt), 0.01));
         }
         assert!((line.direction.norm() - 1.0).abs() < 1e-15);

@@ -4,8 +4,8 @@
 //! and the camera may move; positions and velocities are given in the camera frame of the present frame, the velocity
 //! being that in the world, seen along the camera's axes. Without a pose the camera counts as standing still, in a world
 //! of its own ([`worlds`]); a frame that lacks one takes that of the frame before. Of several cameras in one world each
-//! has its pose, and only the one that saw a target last can miss it; a frame older than the
-//! newest is compared with where the targets were then. Thrown balls may be told to fall and bounce
+//! has its pose, and only the one that saw a target last can miss it; each target has a time of its own, and a frame that is
+//! older than that is compared with where the target was then. Thrown balls may be told to fall and bounce
 //! ([`ballistic`]).
 
 mod association;
@@ -44,7 +44,10 @@ pub struct Tracker {
     world_from_camera: Vec<IsometryMatrix3<f64>>,
     has_pose: bool,
     next_id: u64,
+    /// Each at the newest frame that it has taken in.
     targets: Vec<Target>,
+    /// The same targets at the time of the frame that is looked at.
+    then: Vec<Target>,
     detections: Vec<Detection>,
     association: Association,
     tracks: Vec<Track>,
@@ -67,6 +70,7 @@ impl Tracker {
             has_pose: false,
             next_id: 1,
             targets: Vec::new(),
+            then: Vec::new(),
             detections: Vec::new(),
             association: Association::default(),
             tracks: Vec::new(),
@@ -90,8 +94,8 @@ impl Tracker {
     /// The method: takes in the objects of the frame that a header tells of, in the camera frame; the tracks that are alive,
     /// by identity.
     pub fn update_frame(&mut self, header: &Header, objects: &[Object]) -> &[Track] {
-        // T1. Time: how long since the last frame, and whether this one is late (`timeline.rs`). Who was unseen for too long
-        //     is given up.
+        // T1. Time: when the frame was taken, and how long since the last one (`timeline.rs`). Who was unseen for too long is
+        //     given up.
         let time = self.timeline.advance(header);
         if time.new_run {
             self.targets.retain(|target| target.seen_by != time.source);
@@ -99,11 +103,10 @@ impl Tracker {
         let patience_s = self.parameters.max_coast_s.max(USUAL_GAP * time.usual_s);
         self.targets.retain(|target| target.life.unseen_s + time.elapsed_s <= patience_s);
 
-        // T2. Prediction: each target moves on by its filter, or falls and bounces (`filter.rs`, `ballistic.rs`); for a late
-        //     frame back to its time.
+        // T2. Prediction: each target moves on by its filter, or falls and bounces (`filter.rs`, `ballistic.rs`), to the time of
+        //     the frame; where it has taken in a newer one, back (`target.rs`).
         let world_from_camera = self.pose(header, time.source);
-        self.predict(time.elapsed_s);
-        self.move_in_time(-time.late_s);
+        self.predict(&time);
 
         // T3. Association: the cheapest assignment of detections to targets within the gate (`detection.rs`,
         //     `association.rs`).
@@ -112,13 +115,10 @@ impl Tracker {
 
         // T4. Update: what was seen corrects its target, what was not seen is missed (`filter.rs`, `target.rs`).
         // T5. Life: a track is confirmed or lost by its record of sights; detections of no target begin tracks (`life.rs`).
-        self.update_targets(&time);
-        self.give_birth(&time);
-
         let camera_from_world = world_from_camera.inverse();
         self.tracks.clear();
-        self.tracks.extend(self.targets.iter().map(|target| target.track(&camera_from_world)));
-        self.move_in_time(time.late_s);
+        self.update_targets(&time, &camera_from_world);
+        self.give_birth(&time, &camera_from_world);
         &self.tracks
     }
 
@@ -144,17 +144,10 @@ impl Tracker {
         self.world_from_camera[source]
     }
 
-    fn predict(&mut self, dt: f64) {
-        for target in &mut self.targets {
-            target.predict(dt, self.has_pose, &self.parameters);
-        }
-    }
-
-    /// To the time of a frame that is late, and back.
-    fn move_in_time(&mut self, seconds: f64) {
-        if seconds != 0.0 {
-            self.targets.iter_mut().for_each(|target| target.move_in_time(seconds));
-        }
+    fn predict(&mut self, time: &Advance) {
+        let Self { targets, then, has_pose, parameters, .. } = self;
+        then.clear();
+        then.extend(targets.iter().map(|target| target.at(time, *has_pose, parameters)));
     }
 
     fn detect(&mut self, objects: &[Object], world_from_camera: &IsometryMatrix3<f64>) {
@@ -165,35 +158,41 @@ impl Tracker {
 
     /// Undisturbed targets choose first; then those that may have been pushed.
     fn associate(&mut self, time: &Advance) {
-        let Self { association, targets, detections, parameters, .. } = self;
-        association.reset(targets.len(), detections.len());
-        association.assign(|target, detection| targets[target].cost(&detections[detection], parameters));
+        let Self { association, then, detections, parameters, .. } = self;
+        association.reset(then.len(), detections.len());
+        association.assign(|target, detection| then[target].cost(&detections[detection], parameters));
         association
-            .assign(|target, detection| targets[target].cost_of_manoeuvre(&detections[detection], time, parameters));
+            .assign(|target, detection| then[target].cost_of_manoeuvre(&detections[detection], time, parameters));
     }
 
-    fn update_targets(&mut self, time: &Advance) {
+    fn update_targets(&mut self, time: &Advance, camera_from_world: &IsometryMatrix3<f64>) {
         self.confirmed.clear();
-        for (target, detection) in self.targets.iter_mut().zip(self.association.detections()) {
-            let was_confirmed = target.is_confirmed();
-            match detection {
-                Some(detection) => target.see(&self.detections[*detection], time, &self.parameters),
-                None => target.miss(time),
+        let pairs = self.targets.iter_mut().zip(&mut self.then).zip(self.association.detections());
+        for ((target, then), detection) in pairs {
+            let seen = detection.map(|detection| &self.detections[detection]);
+            match seen {
+                Some(seen) => then.see(seen, time, &self.parameters),
+                None => then.miss(time),
             }
-            if target.is_confirmed() && !was_confirmed {
-                self.confirmed.push(target.kind);
+            if then.is_confirmed() && !target.is_confirmed() {
+                self.confirmed.push(then.kind);
+            }
+            target.keep(then, seen, time, &self.parameters);
+            if !then.life.is_lost(&self.parameters) {
+                self.tracks.push(then.track(camera_from_world));
             }
         }
         self.targets.retain(|target| !target.life.is_lost(&self.parameters));
     }
 
-    fn give_birth(&mut self, time: &Advance) {
+    fn give_birth(&mut self, time: &Advance, camera_from_world: &IsometryMatrix3<f64>) {
         for index in self.association.unclaimed() {
             let target = Target::born(self.next_id, &self.detections[index], time, &self.parameters);
             self.next_id += 1;
             if target.is_confirmed() {
                 self.confirmed.push(target.kind);
             }
+            self.tracks.push(target.track(camera_from_world));
             self.targets.push(target);
         }
     }

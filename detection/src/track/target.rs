@@ -27,6 +27,8 @@ const MIN_HALF_ANGLE: f64 = 1e-6; // [algorithmic]
 #[derive(Clone, Debug)]
 pub struct Target {
     id: u64,
+    /// The newest frame that it has taken in, by its time in nanoseconds.
+    at_ns: i128,
     /// What it was seen as most often.
     pub kind: ObjectKind,
     /// How long and how often it was seen.
@@ -44,8 +46,8 @@ pub struct Target {
     last_seen: Object,
     /// The source that saw it last.
     pub seen_by: usize,
-    /// How late the frame was in which it was seen last, in seconds.
-    seen_late_s: f64,
+    /// When that was, in nanoseconds.
+    seen_at_ns: i128,
 }
 
 /// Covariance of the error that successive sights have in common.
@@ -80,6 +82,7 @@ impl Target {
         votes[first.kind.code() as usize] = 1;
         Self {
             id,
+            at_ns: time.at_ns,
             kind: first.kind,
             life: Life::born(config),
             votes,
@@ -93,26 +96,54 @@ impl Target {
             common: CommonError::of(first, config.common_share),
             last_seen: first.object,
             seen_by: time.source,
-            seen_late_s: time.late_s,
+            seen_at_ns: time.at_ns,
         }
     }
 
-    /// Goes on by `dt` seconds; `has_pose`: whether the frame of tracking is the world's.
-    pub fn predict(&mut self, dt: f64, has_pose: bool, config: &TrackerParameters) {
-        self.motion.predict(dt, config.acceleration.powi(2));
-        self.fall(dt, has_pose, config);
-        self.radius.predict(dt, config.drift_radius_m);
-        self.length.predict(dt, config.drift_length_m);
-        if let Some(axis) = &mut self.axis {
-            axis.predict(dt, config.drift_axis_deg.to_radians());
+    /// The target at the time of a frame, before that is looked at; `has_pose`: whether the frame of tracking is the world's.
+    pub fn at(&self, time: &Advance, has_pose: bool, config: &TrackerParameters) -> Self {
+        let mut then = self.clone();
+        let dt = (time.at_ns - self.at_ns) as f64 * 1e-9;
+        if dt < 0.0 {
+            then.move_in_time(dt);
+            then.motion.blur(dt, config.acceleration.powi(2));
+        } else {
+            then.motion.predict(dt, config.acceleration.powi(2));
+            then.fall(dt, has_pose, config);
+            then.at_ns = time.at_ns;
         }
-        if let Some(half_angle) = &mut self.half_angle {
-            half_angle.predict(dt, config.drift_half_angle_deg.to_radians());
+        then.change(dt.abs(), config);
+        then
+    }
+
+    /// The shape may have changed in `dt` seconds.
+    fn change(&mut self, dt: f64, config: &TrackerParameters) {
+        self.radius = self.radius.predicted(dt, config.drift_radius_m);
+        self.length = self.length.predicted(dt, config.drift_length_m);
+        self.axis = self.axis.map(|axis| axis.predicted(dt, config.drift_axis_deg.to_radians()));
+        let drift = config.drift_half_angle_deg.to_radians();
+        self.half_angle = self.half_angle.map(|half_angle| half_angle.predicted(dt, drift));
+    }
+
+    /// Keeps what became of it in a frame, `then`, in which it was seen or not.
+    ///
+    /// A frame that is older than the newest that it has taken in corrects the present by what it still tells of that. Where
+    /// another camera saw it last and this one did not, its motion stays: that camera may yet tell of a time before.
+    pub fn keep(&mut self, then: &Self, seen: Option<&Detection>, time: &Advance, config: &TrackerParameters) {
+        let lag_s = (self.at_ns - time.at_ns).max(0) as f64 * 1e-9;
+        match seen {
+            Some(seen) if lag_s > 0.0 => {
+                self.move_in_time(-lag_s);
+                self.see(&seen.told_later(lag_s, config), time, config);
+                self.move_in_time(lag_s);
+            }
+            None if lag_s > 0.0 || then.seen_by != time.source => self.life = then.life.clone(),
+            _ => self.clone_from(then),
         }
     }
 
-    /// The motions `seconds` later, or before where that is negative; the shape hardly changes.
-    pub fn move_in_time(&mut self, seconds: f64) {
+    /// The motions `seconds` later, or before where that is negative.
+    fn move_in_time(&mut self, seconds: f64) {
         self.motion.move_in_time(seconds);
         if let Some(other) = &mut self.fall.other {
             other.move_in_time(seconds);
@@ -157,10 +188,10 @@ impl Target {
         may_be.then(|| self.cost_of(&self.pushed(time, config), detection, config))?
     }
 
-    /// Its motion if it changed its velocity when it was last seen; as of this frame, late or not.
+    /// Its motion if it changed its velocity when it was last seen.
     fn pushed(&self, time: &Advance, config: &TrackerParameters) -> Motion {
-        let since_s = self.life.unseen_s + self.seen_late_s + time.elapsed_s - time.late_s;
-        self.motion.kicked(since_s.max(0.0), config.manoeuvre_mps)
+        let since_s = (time.at_ns - self.seen_at_ns).max(0) as f64 * 1e-9;
+        self.motion.kicked(since_s, config.manoeuvre_mps)
     }
 
     fn cost_of(&self, motion: &Motion, detection: &Detection, config: &TrackerParameters) -> Option<f64> {
@@ -200,7 +231,7 @@ impl Target {
         if self.cost(detection, config).is_none() {
             self.motion = self.pushed(time, config);
         }
-        (self.seen_by, self.seen_late_s) = (time.source, time.late_s);
+        (self.seen_by, self.seen_at_ns) = (time.source, time.at_ns);
         if let Some(innovation) = self.motion.innovation(&detection.position, &detection.covariance) {
             self.motion.update(&innovation, &detection.covariance);
         }
@@ -361,15 +392,14 @@ mod tests {
         let ball =
             Object { kind: ObjectKind::Sphere.code(), center: [0.0, 0.0, 2.0], radius: 0.1, ..Object::default() };
         let first = Detection::new(&ball, &IsometryMatrix3::identity(), &config);
-        let time = |elapsed_s: f64, late_s: f64| {
-            let (source, usual_s, new_run) = (0, f64::INFINITY, false);
-            Advance { source, elapsed_s, late_s, usual_s, new_run }
+        let time = |at_ms: i128| {
+            let (source, elapsed_s, usual_s, new_run) = (0, 0.0, f64::INFINITY, false);
+            Advance { source, at_ns: at_ms * 1_000_000, elapsed_s, usual_s, new_run }
         };
-        let mut target = Target::born(1, &first, &time(0.0, 0.02), &config);
-        target.life.unseen_s = 0.1;
-        for (now, since_s) in [(time(0.05, 0.03), 0.14), (time(0.0, 0.0), 0.12), (time(0.0, 0.2), 0.0)] {
+        let target = Target::born(1, &first, &time(100), &config);
+        for (at_ms, since_s) in [(240, 0.14), (220, 0.12), (80, 0.0)] {
             let expected = target.motion.kicked(since_s, config.manoeuvre_mps);
-            let off = target.pushed(&now, &config).covariance - expected.covariance;
+            let off = target.pushed(&time(at_ms), &config).covariance - expected.covariance;
             assert!(off.norm() < 1e-12, "{since_s} s ago");
         }
     }

@@ -33,10 +33,11 @@ struct Frame {
 pub struct Advance {
     /// Number of the source, by its first message.
     pub source: usize,
-    /// Seconds since the message before.
+    /// When the frame was taken, in nanoseconds of the time that all sources share: not before the newest frame of the others,
+    /// unless it is late, which only a clock that is shared tells.
+    pub at_ns: i128,
+    /// Seconds since the message before; none where the frame is late.
     pub elapsed_s: f64,
-    /// How many seconds the message is older than the newest one of the other sources. Only a clock that is shared tells.
-    pub late_s: f64,
     /// Seconds between the two messages of this source before this one: what is usual. Infinite before there are two.
     pub usual_s: f64,
     /// The source began from its first frame: what it saw before has nothing to do with it.
@@ -76,7 +77,7 @@ impl Timeline {
         }
         let elapsed_s = self.move_forward(frame.at_ns);
         let usual_s = last.and_then(|last| last.period_ns).map_or(f64::INFINITY, |usual_ns| usual_ns as f64 * 1e-9);
-        Advance { source, elapsed_s, late_s: self.late_s(&frame), usual_s, new_run }
+        Advance { source, at_ns: self.taken_at(&frame), elapsed_s, usual_s, new_run }
     }
 
     /// When a message is that goes on after the last one of its source.
@@ -97,10 +98,10 @@ impl Timeline {
         (at_ns - now_ns).max(0) as f64 * 1e-9
     }
 
-    /// How much older than the present a message is; nothing where its stamps are not on the clock that all share.
-    fn late_s(&self, frame: &Frame) -> f64 {
+    /// When a frame was taken: now, where its stamps are not on the clock that all share.
+    fn taken_at(&self, frame: &Frame) -> i128 {
         let is_shared = frame.at_ns == i128::from(frame.stamp_ns);
-        self.now_ns.filter(|_| is_shared).map_or(0.0, |now_ns| (now_ns - frame.at_ns) as f64 * 1e-9)
+        self.now_ns.filter(|_| !is_shared).unwrap_or(frame.at_ns)
     }
 }
 
@@ -144,8 +145,14 @@ mod tests {
         advances(messages).iter().map(elapsed).collect()
     }
 
+    /// How many milliseconds each message is older than the newest one before it.
     fn late_ms(messages: &[(&str, u64, u64, u64)]) -> Vec<i64> {
-        advances(messages).iter().map(|advance| milliseconds(advance.late_s)).collect()
+        let mut now_ns = i128::MIN;
+        let late_ms = |advance: &Advance| {
+            now_ns = now_ns.max(advance.at_ns);
+            ((now_ns - advance.at_ns) / 1_000_000) as i64
+        };
+        advances(messages).iter().map(late_ms).collect()
     }
 
     #[test]

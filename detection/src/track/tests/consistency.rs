@@ -1,6 +1,7 @@
 //! The covariances that the filters give are those that their errors have.
 
 use super::super::filter::Motion;
+use super::camera::{late, placed};
 use super::*;
 use nalgebra::{Cholesky, Matrix2, Vector2, Vector6};
 
@@ -202,4 +203,37 @@ fn what_all_sights_have_in_common_is_part_of_the_sigma() {
     let ([position, radius], [bare_position, bare_radius]) = (errors_in_sigmas(0.5), errors_in_sigmas(0.0));
     assert!((0.85..1.05).contains(&position) && (0.85..1.05).contains(&radius), "{position}, {radius}");
     assert!(bare_position > 1.5 && bare_radius > 2.0, "{bare_position}, {bare_radius}");
+}
+
+/// Two cameras see what moves at random, and the frames of one come late. Errors of what is told with either, in sigmas: noise
+/// that the past and the present have in common is left out, so that sigmas are a little small, or large right after a frame.
+#[test]
+fn with_a_camera_that_is_late_all_is_right_within_its_sigma() {
+    for late_frames in [1_usize, 3, 9, 24] {
+        let config = TrackerParameters { gate: 1e9, manoeuvre_mps: 0.0, ..exact() };
+        let (mut noise, mut errors, runs, frames) = (Noise(31), [0.0; 4], 400, 60);
+        for _ in 0..runs {
+            let (mut position, mut velocity) = (Vector3::new(0.0, 0.0, 2.0), noise.vector(config.initial_speed_mps));
+            let (mut tracker, mut truth, mut last) = (Tracker::new(config.clone()), Vec::new(), [Track::default(); 2]);
+            for frame in 0..frames {
+                truth.push((position, velocity));
+                let from = |name: &str| placed(name, 0.0, (frame + late_frames) as u64);
+                last[0] = tracker.update_frame(&from("left"), &[sphere(position + noise.vector(SIGMA_M))])[0];
+                if let Some(then) = frame.checked_sub(late_frames) {
+                    let seen = sphere(truth[then].0 + noise.vector(SIGMA_M));
+                    last[1] = tracker.update_frame(&late(from("right"), seconds(late_frames as u64)), &[seen])[0];
+                }
+                accelerate(&mut position, &mut velocity, PERIOD_S, config.acceleration.powi(2), &mut noise);
+            }
+            let square = |error: Vector3<f64>, covariance| error.dot(&Cholesky::new(covariance).unwrap().solve(&error));
+            for ((track, errors), frame) in last.iter().zip(errors.chunks_exact_mut(2)).zip([0, late_frames]) {
+                let (position, velocity) = truth[frames - 1 - frame];
+                let center = Vector3::from(track.object.center);
+                errors[0] += square(center - position, Matrix3::from(track.object.sigma.center));
+                errors[1] += square(Vector3::from(track.velocity) - velocity, Matrix3::from(track.velocity_covariance));
+            }
+        }
+        let in_sigmas = errors.map(|sum: f64| (sum / f64::from(runs) / 3.0).sqrt());
+        assert!(in_sigmas.iter().all(|ratio| (0.7..1.1).contains(ratio)), "{late_frames} frames late: {in_sigmas:?}");
+    }
 }

@@ -76,7 +76,7 @@ fn what_a_pair_costs_is_minus_twice_the_logarithm_of_its_likelihood() {
     let radius = first.radius.variance + then.radius.variance;
     let axis = first.axis.unwrap().variance + then.axis.unwrap().variance;
     let expected = expected_of_place + wider * wider / radius + radius.ln() + angle * angle / axis + 2.0 * axis.ln();
-    let time = Advance { source: 0, elapsed_s: 0.0, late_s: 0.0, usual_s: f64::INFINITY, new_run: false };
+    let time = Advance { source: 0, at_ns: 0, elapsed_s: 0.0, usual_s: f64::INFINITY, new_run: false };
     let cost = Target::born(1, &first, &time, &config).cost(&then, &config).unwrap();
     assert!((cost - expected).abs() < 1e-6, "{cost}, expected {expected}");
 }
