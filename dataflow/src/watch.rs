@@ -62,8 +62,7 @@ pub enum Seen<M> {
 /// Looks into topics of a running pipeline.
 pub struct Watcher {
     topics: Vec<(ItemType, String, SharedOnlooker)>,
-    /// The topic that is looked into next.
-    next: usize,
+    order: Order<SharedMessage>,
     memory: SharedMemory,
     /// Forced when the run is over: whoever leaves last then sees to it that nothing is left.
     stop: Stop,
@@ -74,7 +73,7 @@ pub struct Watcher {
 }
 
 impl Watcher {
-    /// Looks into these topics, which have these items, from now on.
+    /// Looks into these topics, which have these items, from now on. What is made of messages of one of them goes behind that one.
     ///
     /// # Errors
     /// A topic cannot be read.
@@ -85,9 +84,10 @@ impl Watcher {
         let onlooker = |(item, topic): &(&ItemType, &Topic)| {
             Ok::<_, PortError>(((*item).clone(), topic.name.clone(), memory.onlooker(item, topic)?))
         };
+        let order = Order::new(topics.iter().map(|(_, topic)| topic.longest_queue()).collect());
         let topics = topics.iter().map(onlooker).collect::<Result<_, _>>()?;
         let (checked, nonsense) = (Instant::now(), ThrottledWarning::default());
-        Ok(Self { topics, next: 0, memory, stop, folder, run, checked, nonsense })
+        Ok(Self { topics, order, memory, stop, folder, run, checked, nonsense })
     }
 
     /// The next message, checked; one that makes no sense is left out, with a warning.
@@ -101,20 +101,69 @@ impl Watcher {
         }
         // The run is looked at first: what was sent before it was over is then sure to be found.
         let over = check && !still_runs(&self.folder, self.run);
-        let number = self.topics.len();
-        for index in (0..number).map(|offset| (self.next + offset) % number) {
-            let (item, topic, onlooker) = &mut self.topics[index];
-            while let Some(received) = onlooker.receive(&self.memory)? {
-                if is_sound(topic, item, &received, &mut self.nonsense) {
-                    self.next = (index + 1) % number;
-                    return Ok(Seen::Message(index, received));
+        let Self { topics, order, memory, nonsense, .. } = self;
+        let found = order.next(|index| {
+            let (item, topic, onlooker) = &mut topics[index];
+            while let Some(received) = onlooker.receive(memory)? {
+                if is_sound(topic, item, &received, nonsense) {
+                    return Ok(Some(received));
                 }
             }
+            Ok::<_, PortError>(None)
+        })?;
+        if let Some((index, received)) = found {
+            return Ok(Seen::Message(index, received));
         }
         if over {
             self.stop.force();
         }
         Ok(if over { Seen::Over } else { Seen::Nothing })
+    }
+}
+
+/// In which order topics are looked into: in turn, but what a message was made of comes before it.
+struct Order<M> {
+    /// How many messages wait in each topic at most.
+    queues: Vec<usize>,
+    /// The topic whose turn it is.
+    next: usize,
+    held: Option<Held<M>>,
+}
+
+/// A message that was found. When its topic was looked into, what it was made of was there, but may not have been a moment before,
+/// when the topics in front of it were: these are looked into once more.
+struct Held<M> {
+    index: usize,
+    message: M,
+    /// So many messages of those topics may have been there.
+    in_front: usize,
+}
+
+impl<M> Order<M> {
+    fn new(queues: Vec<usize>) -> Self {
+        Self { queues, next: 0, held: None }
+    }
+
+    /// The next message and the number of its topic, where `receive` brings the oldest that waits in a topic.
+    fn next<E>(&mut self, mut receive: impl FnMut(usize) -> Result<Option<M>, E>) -> Result<Option<(usize, M)>, E> {
+        let (number, turn) = (self.queues.len(), self.next);
+        for index in (0..number).map(|offset| (turn + offset) % number) {
+            if self.held.is_some() {
+                break;
+            }
+            if let Some(message) = receive(index)? {
+                let in_front = self.queues[..index].iter().sum();
+                (self.held, self.next) = (Some(Held { index, message, in_front }), (index + 1) % number);
+            }
+        }
+        let Some(held) = &mut self.held else { return Ok(None) };
+        for index in (0..held.index).filter(|_| held.in_front > 0) {
+            if let Some(message) = receive(index)? {
+                held.in_front -= 1;
+                return Ok(Some((index, message)));
+            }
+        }
+        Ok(self.held.take().map(|held| (held.index, held.message)))
     }
 }
 
@@ -315,4 +364,44 @@ fn is_sound(topic: &str, item: &ItemType, message: &SharedMessage, nonsense: &mu
         nonsense.warn(format_args!("left out a message of topic `{topic}`: {error}"));
     }
     checked.is_ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::VecDeque;
+    use std::convert::Infallible;
+
+    /// Numbers of the messages in the order in which they are seen, where a topic of images is followed by one of lists;
+    /// `arrives` puts in what comes while topics are looked into, by the number of looks so far.
+    fn seen(arrives: impl Fn(usize, &mut [VecDeque<u32>; 2]), queues: [usize; 2], number: usize) -> Vec<(usize, u32)> {
+        let (mut order, mut topics, mut looks) = (Order::new(queues.to_vec()), <[VecDeque<u32>; 2]>::default(), 0);
+        let mut receive = |index: usize| {
+            let found = topics[index].pop_front();
+            looks += 1;
+            arrives(looks, &mut topics);
+            Ok::<_, Infallible>(found)
+        };
+        (0..number).filter_map(|_| order.next(&mut receive).unwrap_or_else(|never| match never {})).collect()
+    }
+
+    #[test]
+    fn an_image_comes_before_the_list_that_was_made_of_it() {
+        // Both come between the look for an image and the one for a list.
+        let arrives = |looks: usize, topics: &mut [VecDeque<u32>; 2]| {
+            if looks == 1 {
+                topics.iter_mut().for_each(|topic| topic.push_back(7));
+            }
+        };
+        assert_eq!(seen(arrives, [4, 4], 3), [(0, 7), (1, 7)]);
+    }
+
+    #[test]
+    fn no_topic_waits_for_ever_behind_one_that_never_rests() {
+        let arrives = |_: usize, topics: &mut [VecDeque<u32>; 2]| {
+            topics.iter_mut().enumerate().for_each(|(number, topic)| topic.push_back(number as u32));
+        };
+        let lists = seen(arrives, [4, 4], 60).iter().filter(|(index, _)| *index == 1).count();
+        assert!(lists >= 10, "{lists} of 60");
+    }
 }
