@@ -176,7 +176,7 @@ fn a_runtime_folder_that_cannot_be_used_is_told_by_doctor_and_run_alike() {
     fs::set_permissions(&open, PermissionsExt::from_mode(0o755)).unwrap();
     for (folder, told) in [
         (file, "hint: set CONICFLOW_RUNTIME_DIR to a short path that this user may write to"),
-        (open, "belongs to another user or is open to others\n  hint: set CONICFLOW_RUNTIME_DIR"),
+        (open, "is open to others\n  hint: `chmod 700` it, or set CONICFLOW_RUNTIME_DIR"),
         (long, "shared memory can use 48 at most\n  hint: set CONICFLOW_RUNTIME_DIR to a shorter path"),
     ] {
         let conicflow = |arguments: &[&str]| {
@@ -239,11 +239,16 @@ fn what_another_user_has_left_is_in_nobodys_way_and_stays() {
     let cleaned = as_them(&["doctor", "--clean"]).wait().expect_code(0);
     assert!(cleaned.stdout.starts_with("removed what 6 dead processes had in `"), "{}", cleaned.stdout);
     assert_eq!(memory.files(), [""; 0]);
-    // The folder that is theirs is nobody else's.
-    let mut ours = playground.command(&["run"]);
-    ours.env("CONICFLOW_RUNTIME_DIR", theirs.runtime());
-    let told = Started::new(ours).wait().expect_code(2).stderr;
-    assert!(told.contains("belongs to another user or is open to others\n  hint: "), "{told}");
+    // The folder that is theirs is nobody else's, not even to look into: an onlooker leaves its own files there.
+    for arguments in
+        [&["run"][..], &["topic", "echo", "tracks"], &["swap", "tracker", "--set", "gate=9"], &["top", "--once"]]
+    {
+        let mut ours = playground.command(arguments);
+        ours.env("CONICFLOW_RUNTIME_DIR", theirs.runtime());
+        let told = Started::new(ours).wait().expect_code(2).stderr;
+        let expected = "belongs to another user\n  hint: do this as that user (`sudo -u '#65534' ...`)";
+        assert!(told.contains(expected), "{arguments:?}: {told}");
+    }
 }
 
 #[test]

@@ -1,13 +1,15 @@
-//! Whether a run could have its folder: private, writable, and with a path that is short enough for sockets.
+//! Whether a run could have its folder (private, writable, and with a path that is short enough for sockets) and shared memory.
 
 use super::finding::Finding;
 use crate::launcher::{FolderError, check_private, user_folder};
+use crate::ports::capacity::SHARED_MEMORY;
 use crate::ports::shared_memory::leftovers::check_path;
+use conicflow_messages::Hinted;
 use rustix::fs::{Access, access};
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// What keeps a run from having its folder.
+/// What keeps a run from having its folder, and from shared memory.
 pub(super) fn examine() -> Vec<Finding> {
     let user = user_folder();
     let parts = [user.clone(), user.join("run"), user.join("shm")];
@@ -16,7 +18,13 @@ pub(super) fn examine() -> Vec<Finding> {
     let mut findings: Vec<_> = too_long.into_iter().map(Finding::from).chain(faults).collect();
     // What keeps this user out of the first folder keeps it out of those within.
     findings.truncate(1);
+    findings.extend(writable(Path::new(SHARED_MEMORY)).err().map(no_shared_memory));
     findings
+}
+
+fn no_shared_memory(error: io::Error) -> Finding {
+    let hint = "as root: `mount -o remount,rw,mode=1777 /dev/shm`";
+    Hinted::new(format!("this user can make nothing in `{SHARED_MEMORY}`: {error}"), hint).into()
 }
 
 fn fault(path: PathBuf) -> Option<FolderError> {

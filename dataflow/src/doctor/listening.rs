@@ -44,11 +44,12 @@ fn taken(machine: &str, endpoint: &str) -> Option<Hinted> {
     Some(Hinted::new(format!("machine `{machine}` cannot listen on `{endpoint}`: {error}"), hint(&error, address)?))
 }
 
-/// That the metrics of a run cannot be offered at this address.
-pub(super) fn metrics(address: SocketAddr) -> Option<Finding> {
+/// That the metrics of a run cannot be offered at this address; `is_own`: that it has to be one of this machine.
+pub(super) fn metrics(address: SocketAddr, is_own: bool) -> Option<Finding> {
     let error = TcpListener::bind(address).err()?;
     let what = format!("`metrics` of the pipeline file: nothing can be offered at {address}: {error}");
-    Some(Hinted::new(what, hint(&error, &address.to_string())?).into())
+    let no_address = || is_own.then(|| "`ip address` lists the addresses that this machine has now".to_owned());
+    Some(Hinted::new(what, hint(&error, &address.to_string()).or_else(no_address)?).into())
 }
 
 /// What to do about a port of this machine; `None` where the address is of another one.
@@ -84,6 +85,14 @@ mod tests {
         assert!(finding.hint.contains("choose another port"), "{finding}");
         drop(holder);
         assert_eq!(taken("robot", &endpoint), None);
+    }
+
+    #[test]
+    fn metrics_of_this_machine_need_an_address_that_it_has() {
+        let of_another: SocketAddr = "192.0.2.1:9464".parse().unwrap();
+        assert!(metrics(of_another, false).is_none());
+        assert!(metrics(of_another, true).unwrap().to_string().contains("`ip address`"));
+        assert!(metrics("127.0.0.1:0".parse().unwrap(), true).is_none());
     }
 
     #[test]

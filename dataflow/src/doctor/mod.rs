@@ -36,7 +36,7 @@ pub fn examine(plans: &[Plan], metrics: &[SocketAddr], registry: &Registry) -> V
     }
     // A run that goes on has its address itself.
     if !idle.is_empty() {
-        findings.extend(metrics.iter().filter_map(|address| listening::metrics(*address)));
+        findings.extend(metrics.iter().filter_map(|address| listening::metrics(*address, plans.len() == 1)));
     }
     findings.extend(orphans::examine());
     if usable {

@@ -38,10 +38,20 @@ pub enum FolderError {
         /// What the system said.
         error: io::Error,
     },
+    /// The folder is another user's: what is written there would be in that one's way, and what is read could be anything.
+    #[error(
+        "`{}` belongs to another user\n  hint: do this as that user (`sudo -u '#{owner}' ...`), or set \
+         CONICFLOW_RUNTIME_DIR to a folder of your own with mode 700", path.display()
+    )]
+    OfAnother {
+        /// The folder.
+        path: PathBuf,
+        /// The number of its user.
+        owner: u32,
+    },
     /// The folder is open to others.
     #[error(
-        "`{}` belongs to another user or is open to others\n  \
-         hint: set CONICFLOW_RUNTIME_DIR to a folder of your own with mode 700", path.display()
+        "`{}` is open to others\n  hint: `chmod 700` it, or set CONICFLOW_RUNTIME_DIR to a folder with that mode", path.display()
     )]
     NotPrivate {
         /// The folder.
@@ -140,9 +150,13 @@ impl RunFolder {
     /// The folders of all pipelines that were run, in the folder of their user ([`user_folder`]).
     ///
     /// # Errors
-    /// The user's folder cannot be read.
+    /// The user's folder cannot be read, or is not this user's alone.
     pub fn all(user: &Path) -> Result<Vec<Self>, FolderError> {
         let (runs, shared_memory) = (user.join("run"), user.join("shm"));
+        match check_private(user) {
+            Err(FolderError::Io { error, .. }) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+            checked => checked?,
+        }
         let entries = match fs::read_dir(&runs) {
             Ok(entries) => entries,
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
@@ -388,12 +402,14 @@ pub(crate) fn check_private(path: &Path) -> Result<(), FolderError> {
     if !data.is_dir() {
         return Err(FolderError::at(path)(io::ErrorKind::NotADirectory.into()));
     }
-    let own = data.uid() == rustix::process::getuid().as_raw();
-    if own && data.permissions().mode() & 0o077 == 0 {
-        Ok(())
-    } else {
-        Err(FolderError::NotPrivate { path: path.to_owned() })
+    let (path, owner) = (path.to_owned(), data.uid());
+    if owner != rustix::process::getuid().as_raw() {
+        return Err(FolderError::OfAnother { path, owner });
     }
+    if data.permissions().mode() & 0o077 != 0 {
+        return Err(FolderError::NotPrivate { path });
+    }
+    Ok(())
 }
 
 #[cfg(test)]
@@ -438,13 +454,18 @@ pub(super) mod tests {
     #[test]
     fn all_runs_of_a_user_are_found_by_name_none_where_there_was_none_and_it_is_told_where_that_cannot_be_read() {
         let files = tempfile::tempdir().unwrap();
+        let mode = |mode| fs::set_permissions(files.path(), fs::Permissions::from_mode(mode)).unwrap();
         let all = || RunFolder::all(files.path());
+        mode(0o700);
         assert!(all().unwrap().is_empty());
         let runs = files.path().join("run");
         fs::write(&runs, "no folder").unwrap();
         assert!(matches!(all(), Err(FolderError::Io { path, .. }) if path == runs));
         fs::remove_file(&runs).unwrap();
         ["tracking", "fruits"].iter().for_each(|name| fs::create_dir_all(runs.join(name)).unwrap());
+        mode(0o750);
+        assert!(matches!(all(), Err(FolderError::NotPrivate { path }) if path == files.path()));
+        mode(0o700);
         let all = all().unwrap();
         assert!(all.iter().map(RunFolder::path).eq([runs.join("fruits"), runs.join("tracking")]));
         assert!(all.iter().all(|folder| folder.shared_memory() == files.path().join("shm")));
