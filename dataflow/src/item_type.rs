@@ -65,7 +65,10 @@ impl ItemType {
     }
 
     const fn known<T: Item>(json: Option<Json>) -> Self {
-        const { assert!(align_of::<T>() <= MAX_ALIGN, "items are aligned to 8 bytes at most") };
+        const {
+            assert!(align_of::<T>() <= MAX_ALIGN, "items are aligned to 8 bytes at most");
+            assert!(size_of::<T>() > 0 || T::USUAL_LENGTH == 0, "an item has at least one byte");
+        }
         Self {
             name: Cow::Borrowed(T::NAME),
             type_name: Cow::Borrowed(T::TYPE_NAME),

@@ -37,7 +37,7 @@ mod watch;
 
 /// Runs a single stage or source as it runs in a pipeline, with nothing around it.
 pub mod testing {
-    pub use crate::runner::alone::{Owned, collect, pass};
+    pub use crate::runner::alone::{Owned, collect, pass, step};
 }
 
 /// What the network part of a program is built of: the ends of topics as a stage has them, and what it tells of itself.

@@ -85,6 +85,7 @@ pub struct Nothing;
 impl Item for Nothing {
     const NAME: &'static str = "nothing";
     const TYPE_NAME: &'static str = "conicflow.Nothing.v1";
+    const USUAL_LENGTH: usize = 0;
 
     fn check(_: &Header, _: &[Self]) -> Result<(), Malformed> {
         Err(Malformed::new(Self::NAME, "such a message does not exist"))

@@ -6,6 +6,7 @@ use crate::log::{DEFAULT_LOG, LOG, error_text, log_to_standard_error};
 use crate::network::{BridgePlan, BridgeRun, Carrier, NO_NETWORK, NO_NETWORK_HINT, Network, NetworkError, RunBridge};
 use crate::node::{Node, Variant};
 use crate::pause::Pause;
+use crate::pipeline::{fault_by, suggestion};
 use crate::plan::{Plan, PlannedStage, Runs};
 use crate::ports::PortError;
 use crate::ports::shared_memory::SharedMemory;
@@ -17,7 +18,7 @@ use crate::runner::pulled_stage::PulledStage;
 use crate::runner::{RunError, StageRuntime};
 use crate::stage::{Context, Source, Stage, Stop};
 use crate::status::{NO_RUN, StatusFile};
-use conicflow_messages::Hinted;
+use conicflow_messages::{ConfigFault, Hinted, Item, Nothing};
 use rustix::io::Errno;
 use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal, test_kill_process};
 use serde_json::Value as Json;
@@ -281,9 +282,44 @@ fn run_own(node: Node) -> Result<(), ProcessError> {
     die_with_launcher(&stage, launcher())?;
     let own = plan.stages.iter_mut().find(|planned| planned.name == stage);
     if let (Some(planned), Some(variant)) = (own, node.variants.first()) {
+        if let Some(fault) = fault_of(&node, planned, &plan.base) {
+            return Err(RunError::Refused(fault.into()).into());
+        }
         planned.runs = Runs::Node { node: node.name.to_owned(), input: variant.input.to_owned() };
     }
     run_planned(&plan, &folder, &stage, &[node], None)
+}
+
+/// What is wrong with what the pipeline file says of a stage, and only the stage's own program can know.
+fn fault_of(node: &Node, planned: &PlannedStage, base: &Path) -> Option<Hinted> {
+    let fault = fault_by(&node.schema(), "parameters", &planned.parameters);
+    if fault.is_some() {
+        return fault;
+    }
+    let faults = (node.check)(planned.parameters.clone(), base).unwrap_or_default();
+    if let Some(ConfigFault { key, what, hint }) = faults.into_iter().next() {
+        return Some(Hinted::new(format!("`{key}`: {what}"), hint));
+    }
+    let known = || node.side_inputs().iter().map(|side| side.name);
+    let mut wired = planned.wiring.side_inputs.iter().map(|(name, _)| name.as_str());
+    if let Some(unknown) = wired.find(|name| !known().any(|known| known == *name)) {
+        let hint = suggestion(unknown, known().collect::<Vec<_>>(), "further inputs");
+        return Some(Hinted::new(
+            format!("this stage reads no `{unknown}` of its `inputs` in the pipeline file"),
+            hint,
+        ));
+    }
+    match (&planned.wiring.output, node.output()) {
+        (Some(topic), Nothing::NAME) => {
+            let what = format!("this stage makes nothing, and the pipeline file has it write `{}`", topic.name);
+            Some(Hinted::new(what, "leave its `output` out"))
+        }
+        (None, kind) if kind != Nothing::NAME => {
+            let what = format!("this stage makes {kind}, and the pipeline file gives it no `output`");
+            Some(Hinted::new(what, "name a topic there, with what it carries"))
+        }
+        _ => None,
+    }
 }
 
 fn own_place() -> Result<(Plan, RunFolder, String), ProcessError> {
@@ -412,8 +448,14 @@ mod tests {
     use super::*;
     use crate::node::Host;
     use crate::pipeline::tests::{node, variant};
-    use conicflow_messages::Object;
+    use crate::ports::Topic;
+    use crate::side_inputs::{SideInput, SideInputs};
+    use crate::stage::{Output, StageError};
+    use conicflow_messages::{Message, Object};
     use rustix::process::getpid;
+    use schemars::JsonSchema;
+    use serde::{Deserialize, Serialize};
+    use serde_json::json;
 
     /// What is done for a stage: what the node makes that is run, the machine whose edges are carried, or the program.
     fn done(runs: Runs, nodes: &[Node], carrier: Option<Carrier>) -> Result<String, String> {
@@ -514,6 +556,64 @@ mod tests {
         let files = tempfile::tempdir().unwrap();
         let other = run_planned(&plan_of(7), &folder_at(files.path()), "other", &[], None);
         assert!(matches!(other, Err(ProcessError::NoStage(name)) if name == "other"));
+    }
+
+    /// Counts objects of a least radius.
+    struct Sieve;
+
+    #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+    #[serde(default, deny_unknown_fields)]
+    struct Mesh {
+        /// In metres.
+        #[schemars(range(min = 0.0, max = 2.0))]
+        width: f64,
+    }
+
+    impl Stage for Sieve {
+        const NAME: &'static str = "sieve";
+        const SUMMARY: &'static str = "Keeps what is large";
+        type Config = Mesh;
+        type Input = Object;
+        type Output = Object;
+
+        fn new(_: Mesh, _: &Context) -> Result<Self, StageError> {
+            Ok(Self)
+        }
+
+        fn faults(mesh: &Mesh, _: &Path) -> Vec<ConfigFault> {
+            let fault = ConfigFault { key: "width", what: "no sieve has this mesh".into(), hint: "take 1".into() };
+            (mesh.width == 1.5).then_some(fault).into_iter().collect()
+        }
+
+        fn side_inputs() -> &'static [SideInput] {
+            const { &[SideInput::latest::<u16>("depth")] }
+        }
+
+        fn step(&mut self, _: &Message<Object>, _: &SideInputs, _: &mut Output<Object>) -> Result<(), StageError> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn a_program_checks_what_the_pipeline_file_says_of_its_stage() {
+        let with = |parameters: Json, side: &str, output: bool| {
+            let mut planned = PlannedStage { parameters, ..stage::<Object>() };
+            planned.wiring.side_inputs = vec![(side.to_owned(), Topic::default())];
+            planned.wiring.output = planned.wiring.output.filter(|_| output);
+            planned
+        };
+        let told = |planned: &PlannedStage| fault_of(&Node::stage::<Sieve>(), planned, Path::new("/"));
+        assert_eq!(told(&with(json!({ "width": 1.0 }), "depth", true)), None);
+        for (planned, expected) in [
+            (with(json!({ "width": -3.0 }), "depth", true), "`width`"),
+            (with(json!({ "widht": 1.0 }), "depth", true), "did you mean `width`?"),
+            (with(json!({ "width": 1.5 }), "depth", true), "no sieve has this mesh"),
+            (with(json!({}), "dpeth", true), "did you mean `depth`?"),
+            (with(json!({}), "depth", false), "this stage makes objects"),
+        ] {
+            let fault = told(&planned).unwrap().to_string();
+            assert!(fault.contains(expected), "{fault}");
+        }
     }
 
     #[test]

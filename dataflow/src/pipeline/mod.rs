@@ -21,8 +21,8 @@ pub use machine::{BRIDGE, Compression, Machine, check_endpoint, check_host, spli
 pub use metrics::Metrics;
 pub use read::MAX_STAGE_NAME;
 pub(crate) use read::stages::TIME_TO_JOIN_S;
-pub(crate) use schema::schema_of;
 pub use schema::value_fault;
+pub(crate) use schema::{fault_by, schema_of};
 pub use spec::{Input, Pipeline, Program, Restart, StageSpec};
 
 use crate::registry::Registry;

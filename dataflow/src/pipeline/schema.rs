@@ -19,9 +19,13 @@ pub(crate) fn check_table(table: &Table, schema: &Json, reserved: &[&str], owner
 /// The first thing that is wrong with a value that is described as in a pipeline file, but comes from elsewhere, such as from a
 /// program in Python: a name, a type or a range that the schema of `T` does not have. `name` is what it is called there.
 pub fn value_fault<T: JsonSchema>(name: &str, value: &Json) -> Option<Hinted> {
-    let schema = schema_of::<T>();
-    let mut checker = Checker { root: &schema, faults: Vec::new() };
-    checker.value(name, &Value::without_place(value), &schema);
+    fault_by(&schema_of::<T>(), name, value)
+}
+
+/// The same of a value that `schema` describes.
+pub(crate) fn fault_by(schema: &Json, name: &str, value: &Json) -> Option<Hinted> {
+    let mut checker = Checker { root: schema, faults: Vec::new() };
+    checker.value(name, &Value::without_place(value), schema);
     let Diagnostic { what, hint, .. } = checker.faults.into_iter().next()?;
     Some(Hinted::new(what, hint))
 }

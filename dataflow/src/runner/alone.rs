@@ -3,15 +3,18 @@
 use super::peers::Peers;
 use super::source_loop::run_source;
 use super::stage_loop::run_stage;
-use super::untyped::{NewSource, NewStage};
+use super::untyped::{NewSource, NewStage, of_same_frame};
 use super::{RunError, StageRuntime};
 use crate::item_type::ItemType;
 use crate::pause::Pause;
 use crate::ports::in_memory::{InMemory, MemoryReader};
 use crate::ports::{Delivery, PortError, Reader, Received, Topic, TopicReader, Transport, Wiring, Writer};
-use crate::stage::{Context, Source, Stage};
+use crate::side_inputs::SideInputs;
+use crate::stage::{Context, Memory, Output, Place, Source, Stage, StageError};
 use crate::status::StatusFile;
-use conicflow_messages::{END_OF_STREAM, Header, Hop, Item, Text};
+use bytemuck::{cast_slice, cast_slice_mut};
+use conicflow_messages::{END_OF_STREAM, Header, Hop, Item, Message, Nothing, Text};
+use std::collections::BTreeMap;
 use std::thread;
 use std::time::Duration;
 
@@ -21,16 +24,60 @@ pub type Owned<T> = (Header, Vec<T>);
 const UPSTREAM: &str = "upstream";
 const DOWNSTREAM: &str = "downstream";
 
+/// Takes one step of a stage that was made by [`Stage::new`], beside these further inputs, and returns what it would send.
+///
+/// # Errors
+/// What the stage failed at, or a message that no reader would take: that of the input, or its own.
+pub fn step<S: Stage>(
+    stage: &mut S,
+    (header, items): &Owned<S::Input>,
+    side_inputs: &SideInputs,
+) -> Result<Owned<S::Output>, StageError> {
+    check(header, items)?;
+    let (mut image, mut list, mut counts) = (Loan(Vec::new()), Vec::new(), BTreeMap::new());
+    let place = Place { header: *header, memory: &mut image, counts: &mut counts };
+    let mut output = Output::new(place, &mut list);
+    stage.step(&Message { header, items }, side_inputs, &mut output)?;
+    let (made, is_image) = (of_same_frame(output.header, header), output.is_image());
+    let items = if is_image { image.0 } else { list };
+    check(&made, &items)?;
+    Ok((made, items))
+}
+
+/// Memory that no other process reads.
+struct Loan<T>(Vec<T>);
+
+impl<T: Item> Memory for Loan<T> {
+    fn loan(&mut self, length: usize) -> Result<&mut [u8], StageError> {
+        self.0 = vec![T::zeroed(); length];
+        Ok(cast_slice_mut(&mut self.0))
+    }
+}
+
+/// Whether a reader takes such a message; of a sink there is none.
+fn check<T: Item>(header: &Header, items: &[T]) -> Result<(), StageError> {
+    let item = const { ItemType::of::<T>() };
+    Ok(if item.is::<Nothing>() { Ok(()) } else { item.check(header, cast_slice(items)) }?)
+}
+
 /// Runs the stage `S` over `messages`, none of which is lost unless `context.delivery` wants the newest alone, and returns what it
 /// sent.
 ///
 /// # Errors
-/// What the stage refused or failed at.
+/// What the stage refused or failed at, or a message that no reader would take: one of `messages`, each of which has to be of a
+/// newer frame than the one before (`sequence`), or one of its own.
 pub fn pass<S: Stage>(
     config: S::Config,
     context: Context,
     messages: &[Owned<S::Input>],
 ) -> Result<Vec<Owned<S::Output>>, RunError> {
+    let is_newer = |[(before, _), (after, _)]: &[Owned<S::Input>; 2]| {
+        before.epoch != after.epoch || before.sequence < after.sequence
+    };
+    if !messages.array_windows().all(is_newer) {
+        return Err(RunError::Refused("each message needs a larger `sequence` than the one before".into()));
+    }
+    messages.iter().try_for_each(|(header, items)| check(header, items)).map_err(RunError::Refused)?;
     let parameters = serde_json::to_value(config).map_err(|error| RunError::Refused(error.into()))?;
     let memory = InMemory::new(context.stop.clone());
     let mut input = topic("input", UPSTREAM, &context.stage, messages.len() + 1);
@@ -62,7 +109,7 @@ pub fn pass<S: Stage>(
 /// lists of any type stands in `context.output`.
 ///
 /// # Errors
-/// What the source refused or failed at.
+/// What the source refused or failed at, or a message that no reader would take.
 pub fn collect<S: Source>(config: S::Config, context: Context, frames: u64) -> Result<Vec<Owned<S::Output>>, RunError> {
     let parameters = serde_json::to_value(config).map_err(|error| RunError::Refused(error.into()))?;
     let memory = InMemory::new(context.stop.clone());
@@ -111,7 +158,9 @@ fn run_alone<T: Item>(
         drop(reader);
         running.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
         fed?;
-        Ok(sent?)
+        let sent = sent?;
+        sent.iter().try_for_each(|(header, items)| check(header, items)).map_err(RunError::Refused)?;
+        Ok(sent)
     })
 }
 

@@ -4,6 +4,7 @@
 use super::side_ports::{KeptMessage, kept};
 use super::stage_place::{Look, StagePlace, item_of, open_input};
 use super::takeover::take_place;
+use super::untyped::of_same_frame;
 use super::{RunError, StageRuntime, is_stopped};
 use crate::clock::monotonic_ns;
 use crate::item_type::{AnyMessage, ItemType};
@@ -144,6 +145,7 @@ impl PulledStage {
         })?;
         let mut header = step.header;
         change(&mut header);
+        let header = of_same_frame(header, &step.header);
         item.check(&header, bytes).map_err(|error| RunError::Refused(error.into()))?;
         let started = Instant::now();
         self.place.output_port.write(bytes)?;

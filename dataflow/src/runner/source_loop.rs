@@ -11,7 +11,7 @@ use crate::item_type::{AnyMessage, ItemType};
 use crate::ports::{PortError, Transport};
 use crate::stage::{Next, StageError, Stop};
 use crate::status::{Life, Pausing, Status, StatusFile, used};
-use conicflow_messages::Header;
+use conicflow_messages::{END_OF_STREAM, Header};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::time::{Duration, Instant};
@@ -136,9 +136,12 @@ impl<T: Transport> SourcePlace<T> {
         self.side_inputs.iter_mut().try_for_each(|side| side.find(None))
     }
 
-    /// The header as the frame is sent with it. Frames of a recording keep their numbers, as long as these rise.
+    /// The header as the frame is sent with it. Frames of a recording keep their numbers, as long as these rise and leave some for
+    /// the frames behind them.
     pub(crate) fn numbered(&self, header: Header) -> Header {
-        Header { epoch: self.epoch, sequence: self.sequence.max(header.sequence), ..header }
+        let own = header.sequence.min(u64::MAX / 2);
+        let flags = header.flags & !END_OF_STREAM;
+        Header { epoch: self.epoch, sequence: self.sequence.max(own), flags, ..header }
     }
 
     /// Sends what was written, a list or, where there is none, an image; false if the run ended meanwhile.

@@ -1,6 +1,6 @@
 //! Tests of the two loops, over the in-memory twin of shared memory.
 
-use super::alone::{Owned, collect, pass};
+use super::alone::{Owned, collect, pass, step};
 use super::output_port::{OutputPort, Telling};
 use super::peers::Peers;
 use super::untyped::NewStage;
@@ -13,7 +13,7 @@ use crate::stage::Stop;
 use crate::status::{Life, Status};
 use crate::{Context, ItemType, Next, NoConfig, Output, RunError, SideInputs, Source, Stage, StageError};
 use bytemuck::cast_slice;
-use conicflow_messages::{AnyByte, Camera, Header, Message, Nothing, Object, ObjectKind, Text};
+use conicflow_messages::{AnyByte, Camera, END_OF_STREAM, Header, Message, Nothing, Object, ObjectKind, Text};
 use serde_json::json;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::channel;
@@ -291,10 +291,46 @@ impl Stage for Quiet {
     }
 }
 
+/// A test of a stage would pass for the wrong reason: in a pipeline no reader takes such messages.
 #[test]
-fn what_makes_no_sense_does_not_reach_a_stage() {
-    let frames = vec![(header(0), vec![1; 4]), (header(1), vec![1; 5]), (header(2), vec![1; 4])];
-    assert!(pass::<Quiet>(NoConfig::default(), context("quiet"), &frames).unwrap().is_empty());
+fn who_tests_with_messages_that_no_reader_takes_is_told() {
+    let told = |frames: &[_]| pass::<Quiet>(NoConfig::default(), context("quiet"), frames).map_err(|e| e.to_string());
+    assert!(told(&[(header(0), vec![1; 4]), (header(2), vec![1; 4])]).is_ok());
+    let five_pixels = told(&[(header(0), vec![1; 4]), (header(1), vec![1; 5])]).unwrap_err();
+    assert!(five_pixels.contains("malformed depth"), "{five_pixels}");
+    let twice = told(&[(header(1), vec![1; 4]), (header(1), vec![1; 4])]).unwrap_err();
+    assert!(twice.contains("`sequence`"), "{twice}");
+}
+
+/// Writes an image of its own size into a header that it makes anew.
+struct Careless;
+
+impl Stage for Careless {
+    const NAME: &'static str = "careless";
+    const SUMMARY: &'static str = "Keeps nothing of the header";
+    type Config = NoConfig;
+    type Input = u16;
+    type Output = u16;
+
+    fn new(_: NoConfig, _: &Context) -> Result<Self, StageError> {
+        Ok(Self)
+    }
+
+    fn step(&mut self, input: &Message<u16>, _: &SideInputs, output: &mut Output<u16>) -> Result<(), StageError> {
+        output.header = Header { flags: END_OF_STREAM, camera: input.header.camera, ..header(0) };
+        output.image(input.items.len())?.copy_from_slice(input.items);
+        Ok(())
+    }
+}
+
+#[test]
+fn no_stage_changes_which_frame_it_is_that_it_makes_something_of() {
+    let frames: Vec<_> = (3..9).map(|number| (header(number), vec![number as u16; 4])).collect();
+    let passed = pass::<Careless>(NoConfig::default(), context("careless"), &frames).unwrap();
+    let numbers = |frames: &[(Header, Vec<u16>)]| frames.iter().map(|(header, _)| header.sequence).collect::<Vec<_>>();
+    assert_eq!(numbers(&passed), numbers(&frames));
+    let (made, pixels) = step(&mut Careless, &frames[2], &SideInputs::default()).unwrap();
+    assert_eq!((made.sequence, made.ends_stream(), pixels), (5, false, vec![5; 4]));
 }
 
 #[test]

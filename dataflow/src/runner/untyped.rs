@@ -6,7 +6,7 @@ use crate::item_type::ItemType;
 use crate::side_inputs::{SideInput, SideInputs};
 use crate::stage::{Context, Next, Output, Place, Source, Stage, StageError};
 use bytemuck::{cast_slice, try_cast_slice};
-use conicflow_messages::{Header, Item, Message, Nothing};
+use conicflow_messages::{END_OF_STREAM, Header, Item, Message, Nothing};
 use serde::de::DeserializeOwned;
 use serde_json::Value as Json;
 
@@ -118,8 +118,8 @@ impl<S: Stage> AnyStage for Typed<S, S::Output> {
         let input = Message { header, items: items(bytes)? };
         let mut output = Output::new(place, &mut self.list);
         self.inner.step(&input, side_inputs, &mut output)?;
-        let (header, is_image) = (output.header, output.is_image());
-        Ok(Made { header, list: (!is_image).then_some(cast_slice(&self.list)) })
+        let (made, is_image) = (output.header, output.is_image());
+        Ok(Made { header: of_same_frame(made, header), list: (!is_image).then_some(cast_slice(&self.list)) })
     }
 
     fn finish(&mut self) -> Result<(), StageError> {
@@ -147,6 +147,13 @@ impl<S: Source> AnySource for Typed<S, S::Output> {
     fn finish(&mut self) -> Result<(), StageError> {
         self.inner.finish()
     }
+}
+
+/// A header that a stage has made of that of its input. Which frame that is, and the way that it came, no stage changes: by these
+/// the readers behind it know what they have missed.
+pub(crate) fn of_same_frame(made: Header, frame: &Header) -> Header {
+    let Header { epoch, sequence, number, hop_count, hops, .. } = *frame;
+    Header { epoch, sequence, number, hop_count, hops, flags: made.flags & !END_OF_STREAM, ..made }
 }
 
 /// The items that lie in these bytes; where there are none, no matter where.
