@@ -4,7 +4,7 @@ use crate::assemble::odds::Evidence;
 use crate::assemble::{Assembler, AssemblerParameters};
 use crate::extract::{Extractor, ExtractorParameters};
 use crate::method;
-use conicflow_messages::{Camera, Header, Item, NoiseModel, Object, finest_scale, quantise};
+use conicflow_messages::{Camera, Header, Item, NoiseModel, Object, finest_scale, is_too_far, quantise};
 
 /// Finds spheres, cylinders and cones in the depth images of one camera, one after another.
 ///
@@ -20,6 +20,8 @@ pub struct Detector {
     assembler: Assembler,
     /// An image in metres, in units.
     units: Vec<u16>,
+    /// How many of its pixels were farther than units reach.
+    too_far: u64,
 }
 
 /// Why an image cannot be looked at.
@@ -54,6 +56,7 @@ impl Detector {
             extractor: Extractor::new(ExtractorParameters::default()),
             assembler: Assembler::new(AssemblerParameters::default()),
             units: Vec::new(),
+            too_far: 0,
         }
     }
 
@@ -137,6 +140,7 @@ impl Detector {
         units.extend(depth_m.iter().map(|&z| quantise(z, 1.0 / depth_scale)));
         let header = Header { depth_scale, ..self.header };
         let objects = self.detect_with(&header, &units);
+        self.too_far = depth_m.iter().filter(|z| is_too_far(**z, 1.0 / depth_scale)).count() as u64;
         self.units = units;
         objects
     }
@@ -144,6 +148,7 @@ impl Detector {
     fn detect_with(&mut self, header: &Header, image: &[u16]) -> Result<Vec<Object>, DetectError> {
         let Camera { width, height, .. } = header.camera;
         check(header)?;
+        self.too_far = 0;
         if image.len() != width as usize * height as usize {
             return Err(DetectError::Size { actual: image.len(), width, height });
         }
@@ -161,9 +166,11 @@ impl Detector {
         self.assembler.candidates()
     }
 
-    /// Why arcs and candidates of the last image were turned down, and how many of them.
+    /// Why arcs and candidates of the last image were turned down, and how many of them; and how many pixels were farther than
+    /// 16.38 m, where that is told in metres: all of them, if they were millimetres.
     pub fn rejections(&self) -> impl Iterator<Item = (&'static str, u64)> {
-        self.extractor.rejections().chain(self.assembler.rejections())
+        let too_far = (self.too_far > 0).then_some(("pixels farther than 16.38 m", self.too_far));
+        too_far.into_iter().chain(self.extractor.rejections()).chain(self.assembler.rejections())
     }
 }
 
@@ -250,10 +257,16 @@ mod tests {
     #[test]
     fn metres_are_as_good_as_units() {
         let (header, pixels) = scene();
-        let metres: Vec<f32> =
-            pixels.iter().map(|&z| if z == 0 { f32::NAN } else { f32::from(z) * header.depth_scale as f32 }).collect();
+        let metre = |&z: &u16| if z == 0 { f32::NAN } else { f32::from(z) * header.depth_scale as f32 };
+        let metres: Vec<f32> = pixels.iter().map(metre).collect();
         let [in_metres, in_units] = [detector(&header).detect_f32(&metres), detector(&header).detect(&pixels)];
         assert_eq!(in_metres, in_units, "both are in tenths of a millimetre");
+        let (mut detector, millimetres) = (detector(&header), Vec::from_iter(metres.iter().map(|z| 1000.0 * z)));
+        assert!(detector.detect_f32(&millimetres).is_empty());
+        let measured = pixels.iter().filter(|&&z| z > 0).count() as u64;
+        assert_eq!(detector.rejections().next(), Some(("pixels farther than 16.38 m", measured)));
+        detector.detect(&pixels);
+        assert!(detector.rejections().all(|(reason, _)| !reason.starts_with("pixels")), "that was the image before");
     }
 
     #[test]

@@ -32,4 +32,4 @@ pub use assemble::{Assembler, AssemblerParameters};
 pub use conicflow_messages::{Camera, Ellipse, NoiseModel, Object, ObjectKind, ObjectSigma, Track, TrackState};
 pub use detector::{DetectError, Detector};
 pub use extract::{Extractor, ExtractorParameters, ScanLines};
-pub use track::{Tracker, TrackerParameters};
+pub use track::{NoPose, Tracker, TrackerParameters};

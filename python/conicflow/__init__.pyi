@@ -148,7 +148,11 @@ class Tracker:
 
     def __init__(self, parameters: Optional[Mapping[str, Any]] = None) -> None: ...
     def update(
-        self, objects: Iterable[Object], stamp_ns: int, world_from_camera: Optional[npt.ArrayLike] = None
+        self,
+        objects: Iterable[Object],
+        stamp_ns: int,
+        world_from_camera: Optional[npt.ArrayLike] = None,
+        camera: int = 0,
     ) -> list[Track]: ...
 
 def dtype(kind: Literal["depth", "ellipses", "objects", "tracks", "velocities"]) -> np.dtype[Any]:

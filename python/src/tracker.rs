@@ -7,7 +7,8 @@ use pyo3::prelude::*;
 use pyo3::types::PyList;
 use std::sync::{Mutex, PoisonError};
 
-/// Gives the objects of successive frames of one camera an identity, a velocity and a filtered shape.
+/// Gives the objects of successive frames of one camera, or of several that tell their poses, an identity, a velocity and a
+/// filtered shape.
 ///
 /// parameters: a dictionary with parameters of the node `kalman_tracker`; those that are left out have their defaults.
 #[pyclass(frozen, name = "Tracker", module = "conicflow")]
@@ -27,24 +28,30 @@ impl PyTracker {
     /// objects: those that `detect` found in the frame.
     /// stamp_ns: when it was taken, in nanoseconds.
     /// world_from_camera: the camera's pose, 3x4 or 4x4, `[R | t]` with t in metres. None: as before, or standing still.
-    #[pyo3(signature = (objects, stamp_ns, world_from_camera = None))]
+    /// camera: which of several cameras with poses, by a number. What one of them alone sees, the others do not miss.
+    #[pyo3(signature = (objects, stamp_ns, world_from_camera = None, camera = 0))]
     fn update<'py>(
         &self,
         py: Python<'py>,
         objects: &Bound<'py, PyAny>,
         stamp_ns: u64,
         world_from_camera: Option<&Bound<'py, PyAny>>,
+        camera: u32,
     ) -> PyResult<Bound<'py, PyList>> {
         let objects = detector::objects(objects)?;
         let pose = world_from_camera.map(pose).transpose()?;
+        if pose.is_none() && camera > 0 {
+            let hint = "give `world_from_camera` with each frame: only so are several cameras in one world";
+            return Err(fault::value("a camera by its number has no pose", hint));
+        }
         let tracks = py.detach(|| {
             let mut tracker = self.0.lock().unwrap_or_else(PoisonError::into_inner);
             match pose {
-                Some(pose) => tracker.update_from(&objects, stamp_ns, pose).to_vec(),
-                None => tracker.update(&objects, stamp_ns).to_vec(),
+                Some(pose) => tracker.update_from(camera, &objects, stamp_ns, pose).map(<[_]>::to_vec),
+                None => Ok(tracker.update(&objects, stamp_ns).to_vec()),
             }
         });
-        record::list_of(py, &tracks)
+        record::list_of(py, &tracks.map_err(|error| fault::value(&error.to_string(), ""))?)
     }
 }
 

@@ -233,6 +233,13 @@ def test_the_tracker_tells_what_it_cannot_use():
     for pose in (np.zeros((3, 4)), np.eye(3), "here", 2 * np.eye(4)):
         with pytest.raises((TypeError, ValueError), match="`world_from_camera`"):
             tracker.update(objects, 1, world_from_camera=pose)
+    with pytest.raises(ValueError, match="has no pose"):
+        tracker.update(objects, 1, camera=1)
+    for stamp_ns in range(2, 90_000_000, 30_000_000):
+        tracks = tracker.update(objects, stamp_ns, world_from_camera=np.eye(4))
+        assert [track.misses for track in tracks] == [0, 0, 0]
+        others = tracker.update([], stamp_ns, world_from_camera=np.eye(4), camera=1)
+        assert [track.misses for track in others] == [0, 0, 0], "another camera misses nothing"
     with pytest.raises(ValueError, match="unknown key `max_coast` in `parameters`\n  hint: did you mean `max_coast_s`"):
         conicflow.Tracker({"max_coast": 1})
 

@@ -26,7 +26,7 @@ pub use worlds::Worlds;
 
 use crate::camera::isometry;
 use association::Association;
-use conicflow_messages::{HAS_POSE, Header, Object, ObjectKind, Track};
+use conicflow_messages::{HAS_POSE, Header, Hop, Object, ObjectKind, Text, Track, is_rotation};
 use detection::Detection;
 use nalgebra::IsometryMatrix3;
 use target::Target;
@@ -54,6 +54,13 @@ pub struct Tracker {
     confirmed: Vec<ObjectKind>,
 }
 
+/// A matrix that is given as a pose and is none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "the camera's pose has no rotation in its first three columns\n  hint: give `[R | t]` row by row, from the camera to the world"
+)]
+pub struct NoPose;
+
 impl Default for Tracker {
     fn default() -> Self {
         Self::new(TrackerParameters::default())
@@ -61,7 +68,8 @@ impl Default for Tracker {
 }
 
 impl Tracker {
-    /// A tracker that has seen nothing; the first track gets the identity 1.
+    /// A tracker that has seen nothing; the first track gets the identity 1. Whether the parameters make sense is told by
+    /// [`TrackerParameters::faults`] and, for each, by the range of its JSON schema: who reads them from a file asks both.
     pub fn new(parameters: TrackerParameters) -> Self {
         Self {
             timeline: Timeline::new(1.0 / parameters.assumed_rate_hz),
@@ -85,10 +93,28 @@ impl Tracker {
         self.update_frame(&Header { stamp_ns, ..Header::default() }, objects)
     }
 
-    /// The same of a camera that moves: `world_from_camera` is its pose, row-major `[R | t]` with a rotation R and t in
-    /// metres. Positions and velocities stay in the frame of the camera.
-    pub fn update_from(&mut self, objects: &[Object], stamp_ns: u64, world_from_camera: [[f64; 4]; 3]) -> &[Track] {
-        self.update_frame(&Header { stamp_ns, flags: HAS_POSE, world_from_camera, ..Header::default() }, objects)
+    /// The same of a camera that moves, or of several that look at the same place: `camera` is a number that tells which
+    /// (0 is that of [`Self::update`]), `world_from_camera` its pose, row-major `[R | t]` with a rotation R and t in metres. Positions and velocities stay in the
+    /// frame of the camera. What one camera alone sees, the others do not miss.
+    ///
+    /// # Errors
+    /// The pose is none; the tracks are as they were.
+    pub fn update_from(
+        &mut self,
+        camera: u32,
+        objects: &[Object],
+        stamp_ns: u64,
+        world_from_camera: [[f64; 4]; 3],
+    ) -> Result<&[Track], NoPose> {
+        let is_finite = world_from_camera.as_flattened().iter().all(|number| number.is_finite());
+        if !(is_finite && is_rotation(&world_from_camera)) {
+            return Err(NoPose);
+        }
+        let mut header = Header { stamp_ns, flags: HAS_POSE, world_from_camera, ..Header::default() };
+        if camera > 0 {
+            header.add_hop(Hop { stage: Text::new(&camera.to_string()), ..Hop::default() });
+        }
+        Ok(self.update_frame(&header, objects))
     }
 
     /// The method: takes in the objects of the frame that a header tells of, in the camera frame; the tracks that are alive,

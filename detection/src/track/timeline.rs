@@ -88,7 +88,7 @@ impl Timeline {
             let frames = frame.sequence.saturating_sub(last.sequence).max(1);
             (self.assumed_period_s * frames as f64 * 1e9).round() as i128
         };
-        last.at_ns + passed_ns
+        last.at_ns.saturating_add(passed_ns)
     }
 
     /// Seconds until `at_ns`; none if that is past.

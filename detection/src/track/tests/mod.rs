@@ -6,7 +6,7 @@ mod identity;
 mod motion;
 mod shape;
 
-use super::{Tracker, TrackerParameters};
+use super::{NoPose, Tracker, TrackerParameters};
 use conicflow_messages::{Header, Object, ObjectKind, ObjectSigma, Track, TrackState};
 use nalgebra::{Matrix3, Vector3};
 
@@ -103,7 +103,8 @@ fn a_camera_that_tells_its_pose_may_move() {
     for sequence in 0..30 {
         let along = 0.5 * seconds(sequence);
         let pose = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, along]];
-        tracker.update_from(&[sphere(Vector3::new(0.0, 0.0, 2.0 - along))], header(sequence).stamp_ns, pose);
+        let ball = [sphere(Vector3::new(0.0, 0.0, 2.0 - along))];
+        tracker.update_from(0, &ball, header(sequence).stamp_ns, pose).unwrap();
     }
     let velocity = Vector3::from(tracker.tracks()[0].velocity);
     assert!(velocity.norm() < 0.02, "the ball stands still: {velocity:?}");
@@ -114,8 +115,24 @@ fn how_fast_something_moves_follows_from_the_stamps_where_the_camera_tells_its_p
     let (mut tracker, still) = (Tracker::default(), [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]);
     for sequence in 0..30 {
         let ball = sphere(Vector3::new(0.2 * seconds(sequence), 0.0, 1.5));
-        tracker.update_from(&[ball], 2 * header(sequence).stamp_ns, still);
+        tracker.update_from(0, &[ball], 2 * header(sequence).stamp_ns, still).unwrap();
     }
     let [along, ..] = tracker.tracks()[0].velocity;
     assert!((along - 0.1).abs() < 0.01, "the frames came half as often: {along}");
+}
+
+#[test]
+fn of_several_cameras_each_is_known_by_its_number_and_none_by_what_is_no_pose() {
+    let (mut tracker, still) = (Tracker::default(), [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]);
+    for sequence in 0..30 {
+        for (camera, seen) in [(7, &[sphere(Vector3::new(0.0, 0.0, 2.0))][..]), (8, &[]), (9, &[])] {
+            tracker.update_from(camera, seen, header(sequence).stamp_ns, still).unwrap();
+        }
+    }
+    assert_eq!((ids(tracker.tracks()), states(tracker.tracks())), (vec![1], vec![TrackState::Confirmed]));
+    let tracks = tracker.tracks().to_vec();
+    for no_pose in [[[0.4; 4]; 3], [[f64::NAN; 4]; 3], still.map(|[x, y, z, _]| [x, y, z, f64::INFINITY])] {
+        assert_eq!(tracker.update_from(7, &[], header(30).stamp_ns, no_pose), Err(NoPose));
+    }
+    assert_eq!(tracker.tracks(), tracks);
 }
