@@ -27,9 +27,6 @@ const NEAR: f64 = 0.2; // [tuned]
 /// Farthest way that a surface is followed beyond an end, in radii.
 const MOST_BEYOND: f64 = 1.0; // [algorithmic]
 
-/// Lower bound of the logarithm of the odds that it is round: what is surely oval cannot be surer still.
-const LEAST_ROUND: f64 = -4.0; // [algorithmic]
-
 /// What speaks for a candidate and against it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Evidence {
@@ -107,7 +104,7 @@ impl Evidence {
             self.continued * f64::from(self.is_sphere),
             self.beyond_radii[0],
             self.beyond_radii[1],
-            self.roundness.clamp(LEAST_ROUND, if self.is_sphere { 0.0 } else { f64::INFINITY }),
+            if self.is_sphere { self.roundness.min(0.0) } else { self.roundness },
         ]
     }
 
@@ -225,7 +222,7 @@ mod tests {
             (told / (1.0 - told) / silent * (1.0 - silent)).ln()
         };
         for (is_sphere, roundness, expected) in
-            [(false, 2.0, 2.0), (false, -3.0, -3.0), (false, -9.0, -4.0), (true, 2.0, 0.0), (true, -3.0, -3.0)]
+            [(false, 2.0, 2.0), (false, -9.0, -9.0), (true, 2.0, 0.0), (true, -9.0, -9.0)]
         {
             assert!((odds(is_sphere, roundness) - expected).abs() < 1e-9, "{is_sphere} {roundness}");
         }
