@@ -44,7 +44,8 @@ pub struct Header {
     pub depth_scale: f64,
     /// The depth noise of the sensor.
     pub noise: NoiseModel,
-    /// Pose of the camera, row-major `[R | t]` with a rotation R and t in metres, where [`HAS_POSE`] is set.
+    /// Pose of the camera, row-major `[R | t]` with a rotation R and t in metres, where [`HAS_POSE`] is set: [`Header::set_pose`] does
+    /// both.
     pub world_from_camera: [[f64; 4]; 3],
     /// Name of the frame's file, or of the source; of a robot's camera that of its frame of coordinates.
     pub source: Text<MAX_SOURCE_BYTES>,
@@ -168,6 +169,12 @@ impl Header {
     /// Pose of the camera in the world, row-major `[R | t]`, if the source knows it.
     pub fn pose(&self) -> Option<&[[f64; 4]; 3]> {
         (self.flags & HAS_POSE != 0).then_some(&self.world_from_camera)
+    }
+
+    /// Says where the camera is in the world, row-major `[R | t]` with a rotation R and t in metres.
+    pub fn set_pose(&mut self, world_from_camera: [[f64; 4]; 3]) {
+        self.world_from_camera = world_from_camera;
+        self.flags |= HAS_POSE;
     }
 
     /// Whether the frame was read from a file that a sensor filled.

@@ -7,7 +7,7 @@ use crate::record::Record;
 use crate::tracker::pose;
 use crate::{array, fault, settings};
 use conicflow_dataflow::ItemType;
-use conicflow_messages::{HAS_POSE, Header, NoiseModel, Text, finest_scale, quantise};
+use conicflow_messages::{Header, NoiseModel, Text, finest_scale, quantise};
 use numpy::{PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
@@ -155,7 +155,7 @@ impl HeaderChange {
             header.source = Text::new(source);
         }
         if let Some(pose) = self.pose {
-            (header.world_from_camera, header.flags) = (pose, header.flags | HAS_POSE);
+            header.set_pose(pose);
         }
     }
 }

@@ -13,7 +13,7 @@ use conicflow_dataflow::{
 };
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
-use conicflow_messages::{Camera, HAS_POSE, Header, Hinted, Text};
+use conicflow_messages::{Camera, Header, Hinted, Text};
 use conicflow_ros::{CAMERA_INFO, Stamped, TF_MESSAGE, Transforms, camera_info_topics};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -281,8 +281,7 @@ impl<M: Middleware> Ros2Source<M> {
         let source = Text::new(stamped.frame_id);
         let mut header = Header { camera, depth_scale, noise, stamp_ns, source, ..Header::default() };
         if let Some(pose) = pose {
-            header.world_from_camera = pose;
-            header.flags |= HAS_POSE;
+            header.set_pose(pose);
         }
         header.check(&topic).map_err(|error| {
             (

@@ -26,7 +26,7 @@ pub use worlds::Worlds;
 
 use crate::camera::isometry;
 use association::Association;
-use conicflow_messages::{HAS_POSE, Header, Hop, Object, ObjectKind, Text, Track, is_rotation};
+use conicflow_messages::{Header, Hop, Object, ObjectKind, Text, Track, is_rotation};
 use detection::Detection;
 use nalgebra::IsometryMatrix3;
 use target::Target;
@@ -110,7 +110,8 @@ impl Tracker {
         if !(is_finite && is_rotation(&world_from_camera)) {
             return Err(NoPose);
         }
-        let mut header = Header { stamp_ns, flags: HAS_POSE, world_from_camera, ..Header::default() };
+        let mut header = Header { stamp_ns, ..Header::default() };
+        header.set_pose(world_from_camera);
         if camera > 0 {
             header.add_hop(Hop { stage: Text::new(&camera.to_string()), ..Hop::default() });
         }

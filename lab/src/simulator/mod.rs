@@ -34,9 +34,7 @@ use crate::random::CounterRng;
 use anyhow::{Result, bail};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
-use conicflow_messages::{
-    Camera, ConfigFault, Frame, HAS_POSE, Header, Hinted, INVALID_NEAR, NoiseModel, Text, Velocity,
-};
+use conicflow_messages::{Camera, ConfigFault, Frame, Header, Hinted, INVALID_NEAR, NoiseModel, Text, Velocity};
 use nalgebra::Vector3;
 use random_scenes::RandomScenes;
 use raster::Raster;
@@ -180,8 +178,7 @@ impl SyntheticCamera {
         header.camera = self.raster.camera;
         header.depth_scale = self.depth_scale;
         header.noise = self.told_noise;
-        header.world_from_camera = self.scene.world_from_camera(self.time_s).rows();
-        header.flags |= HAS_POSE;
+        header.set_pose(self.scene.world_from_camera(self.time_s).rows());
         header.source = Text::new(&self.scene.name);
         header.stamp_ns = (self.time_s * 1e9).round() as u64;
     }

@@ -6,9 +6,7 @@ use crate::recording::files::{Files, Messages, Seen};
 use crate::recording::own;
 use anyhow::{Context as _, Result, bail, ensure};
 use conicflow_dataflow::{ItemType, Stop, tell_frame};
-use conicflow_messages::{
-    Camera, HAS_POSE, Header, Hinted, Hop, INVALID_FAR, INVALID_NEAR, Item, MAX_HOPS, RECORDED, Text,
-};
+use conicflow_messages::{Camera, Header, Hinted, Hop, INVALID_FAR, INVALID_NEAR, Item, MAX_HOPS, RECORDED, Text};
 use conicflow_ros::{CompressedImage, Depths, Image, Stamped, TF_MESSAGE, Transforms};
 use mcap::Message;
 use std::collections::BTreeMap;
@@ -287,10 +285,7 @@ impl Replay {
     fn place(&mut self, header: &mut Header, stamped: &Stamped<'_>) {
         let (Some(transforms), Some(world)) = (&self.transforms, &self.config.world) else { return };
         match transforms.pose(world, stamped.frame_id, stamped.stamp_ns) {
-            Some(pose) => {
-                header.world_from_camera = pose;
-                header.flags |= HAS_POSE;
-            }
+            Some(pose) => header.set_pose(pose),
             None => *self.counts.entry(WITHOUT_POSE).or_default() += 1,
         }
     }
