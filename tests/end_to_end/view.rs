@@ -312,7 +312,7 @@ fn a_recording_is_played_paused_stepped_and_sought() {
     assert_eq!(items(&json)[0]["center"], expected[0]["center"]);
     let length_s = json["player"]["length_s"].as_f64().unwrap();
     assert!((length_s - 89.0 / 30.0).abs() < 1e-3, "{length_s}");
-    for (by, sequence) in [(-1, 59), (-1, 58), (1, 59), (3, 62), (-60, 2), (-9, 0), (500, 89)] {
+    for (by, sequence) in [(-1, 59), (-1, 58), (1, 59), (3, 62), (-60, 2), (-1_000_000, 0), (1, 1), (500, 89)] {
         assert_eq!(page.wish(&json!({ "do": "step", "by": by })), 204);
         page.frame("the frame that was stepped to", at(sequence));
     }
