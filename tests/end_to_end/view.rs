@@ -214,6 +214,7 @@ fn who_comes_from_elsewhere_is_refused_and_what_makes_no_sense_is_told() {
     assert_eq!(status(&format!("DELETE / HTTP/1.1\r\nHost: {own}\r\n\r\n")), 405);
     assert_eq!(status(&format!("GET /look HTTP/1.1\r\nHost: {own}\r\n\r\n")), 400, "a browser without a name");
     assert_eq!(status("rubbish\r\n\r\n"), 400);
+    assert_eq!(status(&format!("GET / HTTP/1.1\r\nHost: {own}\r\nHost: robot.example\r\n\r\n")), 400, "two names");
     assert_eq!(status(&format!("GET /{} HTTP/1.1\r\n", "a".repeat(9000))), 431);
     assert_eq!(page.wish(&json!({ "do": "stop" })), 400);
     let post = format!("POST /command HTTP/1.1\r\nHost: {own}\r\n");
