@@ -44,6 +44,8 @@ pub struct Player {
     next: Option<Replayed>,
     plays: bool,
     speed: f64,
+    /// So many steps are still to be made; back, where it is negative.
+    steps: i32,
     /// When a frame of which time was, or is to be, shown.
     anchor: Option<(Instant, u64)>,
 }
@@ -151,6 +153,7 @@ impl Player {
             next: None,
             plays: true,
             speed: 1.0,
+            steps: 0,
             anchor: None,
         };
         player.next = player.frames.next_message()?;
@@ -170,12 +173,14 @@ impl Player {
         }
     }
 
-    /// Does what comes next: what somebody wants, or the next frame, or a while of nothing.
+    /// Does what comes next: what somebody wants, or a step, or the next frame, or a while of nothing.
     fn play_on(&mut self) -> Result<()> {
         let due = self.due();
         let left = due.map_or(LOOK, |due| due.saturating_duration_since(Instant::now()).min(LOOK));
-        if let Some(command) = self.display.next_command(left) {
+        if let Some(command) = self.display.next_command(if self.steps == 0 { left } else { Duration::ZERO }) {
             self.obey(&command)?;
+        } else if self.steps != 0 {
+            self.step()?;
         } else if due.is_some_and(|due| due <= Instant::now()) && !self.advance()? {
             self.plays = false;
             self.tell();
@@ -202,6 +207,7 @@ impl Player {
 
     fn obey(&mut self, command: &Command) -> Result<()> {
         self.anchor = None;
+        let steps = std::mem::take(&mut self.steps);
         match command {
             Command::Play => {
                 if self.next.is_none() {
@@ -212,7 +218,7 @@ impl Player {
             Command::Pause => self.plays = false,
             Command::Step { by } => {
                 self.plays = false;
-                self.step(*by)?;
+                self.steps = steps.saturating_add(*by);
             }
             Command::Seek { at_s } => {
                 let length_s = self.end_ns.saturating_sub(self.begin_ns) as f64 * 1e-9;
@@ -234,14 +240,13 @@ impl Player {
         Ok(true)
     }
 
-    fn step(&mut self, by: i32) -> Result<()> {
-        for _ in 0..by.max(0) {
-            if !self.advance()? {
-                break;
-            }
-        }
-        for _ in by.min(0)..0 {
-            self.go_back()?;
+    /// Makes a step of those that are wished, which end where the recording does: whoever wishes something else waits for one
+    /// alone.
+    fn step(&mut self) -> Result<()> {
+        let left = std::mem::take(&mut self.steps);
+        let is_there = if left > 0 { self.advance()? } else { self.go_back()? };
+        if is_there {
+            self.steps = left - left.signum();
         }
         Ok(())
     }
@@ -256,8 +261,9 @@ impl Player {
         Ok(())
     }
 
-    /// Shows the frame before the one that is shown, if there is one: looks for it ever farther back.
-    fn go_back(&mut self) -> Result<()> {
+    /// Shows the frame before the one that is shown: looks for it ever farther back. False where there is none; the first is
+    /// shown then.
+    fn go_back(&mut self) -> Result<bool> {
         let (at_ns, mut back_ns) = (self.at_ns, BACK_NS);
         loop {
             let from_ns = at_ns.saturating_sub(back_ns).max(self.begin_ns);
@@ -268,10 +274,12 @@ impl Player {
                 self.next = self.frames.next_message()?;
             }
             if let Some(before) = before {
-                return self.show(before);
+                self.show(before)?;
+                return Ok(true);
             }
             if from_ns == self.begin_ns {
-                return Ok(());
+                self.advance()?;
+                return Ok(false);
             }
             back_ns = back_ns.saturating_mul(4);
         }
@@ -341,4 +349,40 @@ fn compare(own: &List, other: List) -> Compared {
 /// What a message of a list says was found.
 fn list(item: &ItemType, message: &Replayed) -> List {
     if item.name() == Track::NAME { List::Tracks(message.items_as()) } else { List::Objects(message.items_as()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recording::recorder::{Limits, Recorder};
+    use conicflow_dataflow::AnyMessage;
+    use conicflow_messages::Camera;
+
+    const SPACING_NS: u64 = 30_000_000;
+
+    #[test]
+    fn steps_end_where_the_recording_begins_and_ends() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("run.mcap");
+        let recorder = Recorder::create(&path, Limits::default(), false).unwrap();
+        for sequence in 0..9 {
+            let camera = Camera { width: 4, height: 3, fx: 50.0, fy: 50.0, cx: 1.5, cy: 1.0 };
+            let stamp_ns = sequence * SPACING_NS;
+            let header = Header { epoch: 1, sequence, stamp_ns, depth_scale: 0.001, camera, ..Header::default() };
+            let objects = AnyMessage { header: &header, item: built_in::<Object>().unwrap(), bytes: &[] };
+            recorder.write("objects", &objects, None).unwrap();
+        }
+        recorder.finish().unwrap();
+        let mut player = Player::open(&path, None, None, Arc::default()).unwrap();
+        // At its beginning no step back is lost: the next one on shows the second frame.
+        for (by, frame) in
+            [(0, 0), (-1, 0), (1, 1), (3, 4), (-2, 2), (i32::MIN, 0), (-1_000_000, 0), (1, 1), (i32::MAX, 8)]
+        {
+            player.obey(&Command::Step { by }).unwrap();
+            while player.steps != 0 {
+                player.step().unwrap();
+            }
+            assert_eq!(player.at_ns - player.begin_ns, frame * SPACING_NS, "{by}");
+        }
+    }
 }

@@ -16,7 +16,7 @@ const COLOURS: &str = "(() => { const c = document.getElementById('image'); \
 fn a_browser_shows_a_run_in_the_image_in_space_and_as_stages() {
     in_each_browser(1400, 1000, |browser| {
         let playground = Playground::with_pipeline(TRACKING);
-        let _run = playground.start(&SLOWLY);
+        let run = playground.start(&SLOWLY);
         let page = Page::open(&playground, &[]);
         browser.visit(&page.url());
         browser.wait("tracks are listed", "document.querySelectorAll('#list tbody .swatch').length > 0");
@@ -31,7 +31,8 @@ fn a_browser_shows_a_run_in_the_image_in_space_and_as_stages() {
         // A track may end before the next frame is listed.
         browser.wait(
             "a track that is clicked is marked",
-            "(document.querySelector('#list tbody tr').click(), document.querySelector('#list tbody tr.on') !== null)",
+            "(document.querySelector('#list tbody tr').click(), \
+             document.querySelector('#list tbody tr.on button[aria-pressed=true]') !== null)",
         );
         let before = browser.value("Number(document.getElementById('sequence').textContent)").as_u64().unwrap();
         browser.wait(
@@ -40,6 +41,9 @@ fn a_browser_shows_a_run_in_the_image_in_space_and_as_stages() {
         );
         assert_eq!(browser.value("document.getElementById('link').textContent"), "live");
         browser.look("live");
+        drop(run);
+        browser.wait("it says that the run is over", "document.getElementById('link').textContent === 'waiting'");
+        browser.wait("and how often frames come no more", "document.getElementById('rate').textContent === '–'");
     });
 }
 
@@ -82,7 +86,7 @@ fn a_browser_pauses_a_run_and_steps_it() {
             "!document.getElementById('timeline').hidden && !document.getElementById('play').disabled",
         );
         browser.wait("tracks are listed", "document.querySelectorAll('#list tbody .swatch').length > 0");
-        browser.click("#play");
+        browser.point_at("#play");
         browser.wait("it is paused", "document.getElementById('link').textContent === 'paused'");
         assert_eq!(browser.value("document.getElementById('position').hidden"), true, "a run has no time line");
         let sequence = "Number(document.getElementById('sequence').textContent)";
@@ -95,8 +99,10 @@ fn a_browser_pauses_a_run_and_steps_it() {
         let at = now.as_u64().unwrap();
         browser.click("#forward");
         browser.wait("a frame more", &format!("{sequence} > {at}"));
+        browser.press("ArrowRight");
+        browser.wait("one more by its key", &format!("{sequence} > {}", at + 1));
         browser.look("paused");
-        browser.click("#play");
+        browser.press(" ");
         browser.wait("it goes on", &format!("{sequence} > {}", at + 5));
         browser.wait("it says so", "document.getElementById('link').textContent === 'live'");
     });

@@ -214,6 +214,7 @@ fn who_comes_from_elsewhere_is_refused_and_what_makes_no_sense_is_told() {
     assert_eq!(status(&format!("DELETE / HTTP/1.1\r\nHost: {own}\r\n\r\n")), 405);
     assert_eq!(status(&format!("GET /look HTTP/1.1\r\nHost: {own}\r\n\r\n")), 400, "a browser without a name");
     assert_eq!(status("rubbish\r\n\r\n"), 400);
+    assert_eq!(status(&format!("GET / HTTP/1.1\r\nHost: {own}\r\nHost: robot.example\r\n\r\n")), 400, "two names");
     assert_eq!(status(&format!("GET /{} HTTP/1.1\r\n", "a".repeat(9000))), 431);
     assert_eq!(page.wish(&json!({ "do": "stop" })), 400);
     let post = format!("POST /command HTTP/1.1\r\nHost: {own}\r\n");
@@ -312,7 +313,7 @@ fn a_recording_is_played_paused_stepped_and_sought() {
     assert_eq!(items(&json)[0]["center"], expected[0]["center"]);
     let length_s = json["player"]["length_s"].as_f64().unwrap();
     assert!((length_s - 89.0 / 30.0).abs() < 1e-3, "{length_s}");
-    for (by, sequence) in [(-1, 59), (-1, 58), (1, 59), (3, 62), (-60, 2), (-9, 0), (500, 89)] {
+    for (by, sequence) in [(-1, 59), (-1, 58), (1, 59), (3, 62), (-60, 2), (-1_000_000, 0), (1, 1), (500, 89)] {
         assert_eq!(page.wish(&json!({ "do": "step", "by": by })), 204);
         page.frame("the frame that was stepped to", at(sequence));
     }

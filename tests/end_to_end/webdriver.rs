@@ -164,6 +164,18 @@ impl Browser {
         self.value(&format!("document.querySelector('{selector}').click()"));
     }
 
+    /// Clicks as a pointer does: what is clicked has the keyboard's focus first.
+    pub fn point_at(&self, selector: &str) {
+        let click = "part.dispatchEvent(new MouseEvent('click', { bubbles: true, detail: 1 }))";
+        self.value(&format!("(part => (part.focus(), {click}))(document.querySelector('{selector}'))"));
+    }
+
+    /// Presses a key where the focus is.
+    pub fn press(&self, key: &str) {
+        let event = format!("new KeyboardEvent('keydown', {{ key: '{key}', bubbles: true }})");
+        self.value(&format!("document.activeElement.dispatchEvent({event})"));
+    }
+
     /// What the page complained of.
     fn faults(&self) -> Vec<Json> {
         match &self.driver {

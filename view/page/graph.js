@@ -69,7 +69,7 @@ export class GraphView {
         const widest = Math.max(...levels.map((level) => level.length));
         // A unit is a pixel where there is room: text is as large as elsewhere.
         const width = Math.max(this.#place.clientWidth - 24, BESIDE, widest * (BOX + 24));
-        const lone = Math.max(Math.min((width - BOX) / 2, width - BOX - 130), 4);
+        const lone = Math.max(Math.min((width - BOX) / 2, width - BOX - 130), Math.min(24, width - BOX - 4));
         const place = new Map();
         levels.forEach((level, row) => {
             level.forEach((stage, column) => {
@@ -78,45 +78,31 @@ export class GraphView {
                 place.set(stage.name, { x: widest === 1 ? lone : x, y: row * (HIGH + GAP) + 2, row });
             });
         });
-        const drawing = svg("svg", { viewBox: `0 0 ${width} ${levels.length * (HIGH + GAP) - GAP + 6}`, role: "img" });
+        const size = { width, height: levels.length * (HIGH + GAP) - GAP + 6 };
+        const [arrows, told] = [svg("g", { "aria-hidden": "true" }), new Map(stages.map(({ name }) => [name, []]))];
         for (const reader of stages) {
             for (const writer of stages) {
                 for (const topic of writer.outputs.filter((topic) => reader.inputs.includes(topic))) {
-                    drawing.append(...this.#edge(writer, reader, topic, place, { activity, before, seconds }));
+                    const [from, to] = [place.get(writer.name), place.get(reader.name)];
+                    arrows.append(...arrow(from, to, reader.drives > 0 && reader.inputs[0] === topic));
+                    if (to.row === from.row + 1) {
+                        told.get(reader.name).push(...beside(writer, reader, topic, to, { activity, before, seconds }));
+                    }
                 }
             }
         }
-        stages.forEach((stage) => drawing.append(...box(stage, place.get(stage.name), activity)));
-        this.#place.replaceChildren(drawing);
-    }
-
-    #edge(writer, reader, topic, place, { activity, before, seconds }) {
-        const [from, to] = [place.get(writer.name), place.get(reader.name)];
-        const drives = reader.drives > 0 && reader.inputs[0] === topic;
-        const isNext = to.row === from.row + 1;
-        const [x1, y1, x2, y2] = [from.x + 16, from.y + HIGH, to.x + 16, to.y - 6];
-        const bend = -40 - 10 * (to.row - from.row);
-        const middle = (y1 + y2) / 2;
-        const line = isNext
-            ? `M${x1},${y1} C${x1},${middle} ${x2},${middle} ${x2},${y2}`
-            : `M${from.x},${from.y + HIGH / 2} C${from.x + bend},${from.y + HIGH} ${to.x + bend},${to.y} ${to.x - 6},${to.y + HIGH / 2}`;
-        const head = isNext ? `M${x2 - 5},${y2 - 2} h10 l-5,8 z` : `M${to.x - 8},${to.y + HIGH / 2 - 5} v10 l8,-5 z`;
-        const drawn = [svg("path", { d: line, class: drives ? "edge" : "edge side" }), svg("path", { d: head, class: "arrow" })];
-        if (!isNext) {
-            return drawn;
+        // Each stage is read out with what comes to it; no arrow runs over what is told.
+        const items = stages.map((stage) => {
+            const { name } = stage;
+            return svg("g", { role: "listitem" }, ...box(stage, place.get(name), activity), ...told.get(name));
+        });
+        this.#place.replaceChildren(svg("svg", { ...size, role: "list", "aria-label": "Stages" }, arrows, ...items));
+        // What does not fit is moved by the arrow keys, too.
+        if (this.#place.scrollWidth > this.#place.clientWidth) {
+            this.#place.tabIndex = 0;
+        } else {
+            this.#place.removeAttribute("tabindex");
         }
-        const written = activity.topics.find((seen) => seen.topic === topic && seen.writer === writer.name);
-        const same = (seen) => seen.topic === topic && seen.reader === reader.name;
-        const [read, earlier] = [activity.inputs.find(same), before?.inputs.find(same)];
-        const label = svg("text", { x: x2 + 14, y: middle - 3 }, svg("tspan", { class: "topic" }, topic));
-        const rate = written ? `  ${written.rate_hz.toFixed(1)} Hz · ${written.bandwidth_mbps.toFixed(written.bandwidth_mbps < 1 ? 3 : 1)} MB/s` : "";
-        label.append(svg("tspan", { class: "figure" }, rate));
-        const line2 = svg("text", { x: x2 + 14, y: middle + 12, class: "figure" });
-        if (read) {
-            const hop = read.hop_p50_ms === null ? "" : `age ${milliseconds(read.latency_p50_ms)}, p99 ${milliseconds(read.latency_p99_ms)} · `;
-            line2.append(hop, svg("tspan", read.dropped + read.gaps > 0 ? { class: "warn" } : {}, lost(read, earlier, seconds)));
-        }
-        return [...drawn, label, line2];
     }
 
     #count(activity, before, seconds) {
@@ -135,6 +121,42 @@ export class GraphView {
     }
 }
 
+/** An arrow from a stage to one that reads what it writes: to the next row, or past some; broken where it does not drive it. */
+function arrow(from, to, drives) {
+    const isNext = to.row === from.row + 1;
+    const [x1, y1, x2, y2] = [from.x + 16, from.y + HIGH, to.x + 16, to.y - 6];
+    // It stays in the drawing, where there is little room beside the boxes.
+    const bend = Math.max(-40 - 10 * (to.row - from.row), -Math.min(from.x, to.x) / 0.75);
+    // It goes sideways above what is told beside it.
+    const line = isNext
+        ? `M${x1},${y1} C${x1},${y1 + 10} ${x2},${y1 + 4} ${x2},${y1 + 16} V${y2}`
+        : `M${from.x},${from.y + HIGH / 2} C${from.x + bend},${y1} ${to.x + bend},${to.y} ${to.x - 6},${to.y + HIGH / 2}`;
+    const head = isNext ? `M${x2 - 5},${y2 - 2} h10 l-5,8 z` : `M${to.x - 8},${to.y + HIGH / 2 - 5} v10 l8,-5 z`;
+    return [svg("path", { d: line, class: drives ? "edge" : "edge side" }), svg("path", { d: head, class: "arrow" })];
+}
+
+/** What is told beside the arrow that comes from a stage in the row above. */
+function beside(writer, reader, topic, to, { activity, before, seconds }) {
+    const [x, y] = [to.x + 30, to.y - GAP / 2];
+    const written = activity.topics.find((seen) => seen.topic === topic && seen.writer === writer.name);
+    const same = (seen) => seen.topic === topic && seen.reader === reader.name;
+    const [read, earlier] = [activity.inputs.find(same), before?.inputs.find(same)];
+    const label = svg("text", { x, y: y - 3, class: "beside" }, svg("tspan", { class: "topic" }, topic));
+    if (written) {
+        const { rate_hz: rate, bandwidth_mbps: bandwidth } = written;
+        const figures = `  ${rate.toFixed(1)} Hz · ${bandwidth.toFixed(bandwidth < 1 ? 3 : 1)} MB/s`;
+        label.append(svg("tspan", { class: "figure" }, figures));
+    }
+    const line2 = svg("text", { x, y: y + 12, class: "beside figure" });
+    if (read) {
+        const age = `age ${milliseconds(read.latency_p50_ms)}, p99 ${milliseconds(read.latency_p99_ms)} · `;
+        const isLossy = read.dropped + read.gaps > 0;
+        line2.append(read.hop_p50_ms === null ? "" : age);
+        line2.append(svg("tspan", isLossy ? { class: "warn" } : {}, lost(read, earlier, seconds)));
+    }
+    return [label, line2];
+}
+
 function lost(now, before, seconds) {
     const rate = before ? (now.dropped - before.dropped) / seconds : 0;
     const dropped = `${count(now.dropped)} dropped${rate >= 0.05 ? ` (${rate.toFixed(1)}/s)` : ""}`;
@@ -145,7 +167,7 @@ function box({ name, node, drives }, { x, y }, activity) {
     const stage = activity.stages.find((seen) => seen.stage === name);
     const drawn = [
         svg("rect", { x, y, width: BOX, height: HIGH, rx: 8, class: stage && stage.silent_s < 2 ? "box" : "box silent" }),
-        svg("text", { x: x + 12, y: y + 20 }, svg("tspan", { class: "name" }, name), svg("tspan", { class: "node", dx: 8 }, node)),
+        svg("text", { x: x + 12, y: y + 20, class: "node" }, svg("tspan", { class: "name" }, name), `  ${node}`),
     ];
     if (!stage) {
         return [...drawn, text(x + 12, y + 39, "warn", "does not run")];

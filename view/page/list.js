@@ -18,16 +18,19 @@ function cell(label, text, sigma) {
 const chip = (text, kind = "") => element("span", { className: `chip ${kind}` }, text);
 
 /** What it is; `other` is the same as a second variant has found it. */
-function first(item, other) {
-    const cell = element("td", {}, swatch(item), ...(other ? [swatch(other)] : []), name(item));
+const named = (item, other) => [swatch(item), ...(other ? [swatch(other)] : []), name(item)];
+
+/** How far it is to be believed, in words. */
+function chips(item, other) {
+    const made = [];
     if (item.state && item.state !== "confirmed") {
-        cell.append(chip(item.state === "coasting" ? `coasting, unseen for ${item.misses}` : item.state, item.state));
+        made.push(chip(item.state === "coasting" ? `coasting, unseen for ${item.misses}` : item.state, item.state));
     }
     if (item.variant) {
         const isOther = other && other.kind !== item.kind;
-        cell.append(chip(isOther ? `B: ${other.kind}` : foundBy(item), isOther || !other ? "differs" : ""));
+        made.push(chip(isOther ? `B: ${other.kind}` : foundBy(item), isOther || !other ? "differs" : ""));
     }
-    return cell;
+    return made;
 }
 
 function confidence(item) {
@@ -40,40 +43,73 @@ function confidence(item) {
     return made;
 }
 
-function row(item, other, isChosen) {
+/** What is told of it behind its name. */
+function cells(item) {
     const [x, y, z] = item.center.map((part) => part.toFixed(3));
     const away = Math.max(...item.sigma.center) * 1000;
-    const radius = item.kind === "cone" ? item.base_radius : item.radius;
-    const [mm, sigma] = millimetres(radius, item.sigma.radius).split(" ± ");
+    // Of a cone that in its middle, of which the standard deviation is.
+    const [mm, sigma] = millimetres(item.radius_at_center, item.sigma.radius).split(" ± ");
     const angle = item.half_angle === undefined ? "" : `, ${degrees(item.half_angle)}`;
+    const base = item.kind === "cone" ? [cell("base radius", millimetres(item.base_radius))] : [];
     const speed = item.velocity ? `${norm(item.velocity).toFixed(2)} m/s` : "";
-    const title = `${item.points} points in ${item.rows} scan lines, ${(item.rms * 1000).toFixed(1)} mm from the surface`;
-    const row = element(
-        "tr",
-        { title },
-        first(item, other),
+    return [
         confidence(item),
         cell("at", `${x}, ${y}, ${z} m`, `${away.toFixed(away < 1.95 ? 1 : 0)} mm`),
-        cell(item.kind === "cone" ? "base radius" : "radius", mm, sigma),
+        cell("radius", mm, sigma),
+        ...base,
         cell("length", item.length === undefined ? "" : `${millimetres(item.length)}${angle}`),
         item.variant
             ? cell("B", item.difference ? difference(item.difference) : "")
             : cell("speed", speed, item.velocity ? norm(item.sigma.velocity).toFixed(2) : ""),
-    );
-    row.classList.toggle("on", isChosen);
-    return row;
+    ];
 }
 
-const HEADS = ["", "confidence", "x, y, z from the camera", "radius", "length", "speed"];
+/** What is told of it where the pointer stands on it. */
+function title(item) {
+    const ends = item.kind === "cone" ? `radius ${millimetres(item.top_radius)} to ${millimetres(item.base_radius)}; ` : "";
+    return `${ends}${item.points} points in ${item.rows} scan lines, ${(item.rms * 1000).toFixed(1)} mm from the surface`;
+}
+
+/** A row of the table. It stays as long as what it tells of, and with it its button: else the keyboard would lose that. */
+class Row {
+    element;
+    #name;
+    #chips = element("span");
+
+    /** `choose` is told that it was clicked or pressed; without it that changes nothing. */
+    constructor(choose) {
+        this.#name = element(choose ? "button" : "span");
+        this.element = element("tr", {}, element("td", {}, this.#name, this.#chips));
+        if (choose) {
+            this.element.addEventListener("click", choose);
+        }
+    }
+
+    show(item, other, isChosen) {
+        this.#name.replaceChildren(...named(item, other));
+        this.#chips.replaceChildren(...chips(item, other));
+        if (this.#name.matches("button")) {
+            this.#name.setAttribute("aria-pressed", String(isChosen));
+        }
+        [...this.element.cells].slice(1).forEach((cell) => cell.remove());
+        this.element.append(...cells(item));
+        this.element.title = title(item);
+        this.element.classList.toggle("on", isChosen);
+    }
+}
+
+const HEADS = ["what", "confidence", "x, y, z from the camera", "radius", "length", "speed"];
 /** The last of them where two variants are compared. */
 const COMPARED = "B from A";
 
 export class ListView {
-    #head = element("thead", {}, element("tr", {}, ...HEADS.map((text) => element("th", {}, text))));
+    #head = element("thead", {}, element("tr", {}, ...HEADS.map((text) => element("th", { scope: "col" }, text))));
     #body = element("tbody");
+    #none = element("td", { className: "none", colSpan: HEADS.length });
+    #rows = new Map();
     #choose;
 
-    /** `choose` is told the number of the track that was clicked. */
+    /** `choose` is told the number of the track that was clicked or pressed. */
     constructor(table, choose) {
         this.#choose = choose;
         table.append(this.#head, this.#body);
@@ -81,16 +117,30 @@ export class ListView {
 
     show({ kind, items, compared }, chosen) {
         this.#head.querySelector("th:last-child").textContent = compared ? COMPARED : HEADS.at(-1);
-        const rows = items.filter((item) => !isSecond(item)).map((item) => {
-            const made = row(item, items[item.pair], item.id !== undefined && item.id === chosen);
-            made.addEventListener("click", () => this.#choose(item.id));
-            return made;
+        const rows = new Map();
+        items.filter((item) => !isSecond(item)).forEach((item, index) => {
+            const key = item.id === undefined ? `object ${index}` : item.id;
+            const row = this.#rows.get(key) ?? new Row(item.id === undefined ? null : () => this.#choose(item.id));
+            row.show(item, items[item.pair], item.id !== undefined && item.id === chosen);
+            rows.set(key, row);
         });
-        if (rows.length === 0) {
-            const none = kind ? "nothing found in this frame" : "nobody has looked for anything in this frame";
-            rows.push(element("tr", {}, element("td", { className: "none", colSpan: HEADS.length }, none)));
-        }
+        this.#rows = rows;
         this.#head.hidden = items.length === 0;
-        this.#body.replaceChildren(...rows);
+        if (rows.size === 0) {
+            this.#none.textContent = kind ? "nothing found in this frame" : "nobody has looked for anything in this frame";
+            this.#body.replaceChildren(element("tr", {}, this.#none));
+            return;
+        }
+        this.#place([...rows.values()].map((row) => row.element));
+    }
+
+    /** Puts rows in their order; those that are in their place stay there, and with them the keyboard's focus. */
+    #place(wanted) {
+        [...this.#body.rows].filter((row) => !wanted.includes(row)).forEach((row) => row.remove());
+        wanted.forEach((row, index) => {
+            if (this.#body.rows[index] !== row) {
+                this.#body.insertBefore(row, this.#body.rows[index] ?? null);
+            }
+        });
     }
 }

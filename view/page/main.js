@@ -29,9 +29,14 @@ let frame = null;
 let written = 0;
 let isWriting = false;
 let title = "";
-let run = null;
+/** What was told around the frames. */
+let about = { run: null, notice: null };
 let variants = [];
-const shown = [];
+/** Whether what is shown is left from a run that is over. */
+let isOld = false;
+/** When the last frames were shown, and which start of each camera they are of. */
+let shown = [];
+const epochs = new Map();
 
 /** The view of space; where the browser cannot draw it, that is said. */
 function openSpace() {
@@ -55,21 +60,34 @@ function choose(id) {
     list.show(frame, image.chosen);
 }
 
-/** Counts the frames that were shown in the last two seconds. */
-function countShown() {
-    shown.push(performance.now());
-    while (shown[0] < shown.at(-1) - 2000) {
-        shown.shift();
+/** A track of another run may have the same number: it is not marked. */
+function forget() {
+    if (image.chosen !== undefined) {
+        choose(image.chosen);
     }
 }
 
-/** How often a second frames are shown. */
-function rate() {
-    const span = shown.at(-1) - shown[0];
-    return span > 0 ? `${((1000 * (shown.length - 1)) / span).toFixed(1)} Hz` : "–";
+/** Keeps when a frame was shown: of the last two seconds, and of two frames at least. */
+function countShown() {
+    const now = performance.now();
+    shown = [...shown.filter((at, index) => at > now - 2000 || index === shown.length - 1), now];
+}
+
+/** How often a second frames are shown; nothing where none is to follow. */
+function writeRate() {
+    shown = timeline.goesOn ? shown : [];
+    const [begin, end, gaps] = [shown[0], shown.at(-1), shown.length - 1];
+    // One that is overdue counts as if it came now.
+    const until = Math.max(end, performance.now() - (end - begin) / gaps);
+    by("rate").textContent = gaps > 0 ? `${((1000 * gaps) / (until - begin)).toFixed(1)} Hz` : "–";
 }
 
 function showFrame(next) {
+    const { origin, epoch } = next;
+    if (epochs.has(origin) && epochs.get(origin) !== epoch) {
+        forget();
+    }
+    epochs.set(origin, epoch);
     frame = next;
     if (frame.pixels) {
         range.follow(frame.pixels, frame.image.scale);
@@ -87,11 +105,11 @@ function showFrame(next) {
 /** Writes what is told in words: more seldom than frames come, for nobody reads that fast. */
 function writeTexts() {
     [isWriting, written] = [false, performance.now()];
-    by("rate").textContent = rate();
+    writeRate();
     [by("near").textContent, by("far").textContent] = range.far > 0 ? [metres(range.near), metres(range.far)] : ["", ""];
     by("sequence").textContent = String(frame.sequence);
     by("stamp").textContent = frame.stamp_s > 1e8 ? new Date(frame.stamp_s * 1000).toLocaleTimeString() : `${frame.stamp_s.toFixed(2)} s`;
-    by("latency").textContent = milliseconds(frame.latency_ms);
+    by("latency").textContent = milliseconds(isOld ? null : frame.latency_ms);
     list.show(frame, image.chosen);
     by("list-title").textContent = { tracks: "Tracks", objects: "Objects" }[frame.kind] ?? "Objects";
     by("list-note").textContent = counted();
@@ -128,43 +146,72 @@ function showVariants() {
 /** Fills a choice with names, and hides it where there is none. */
 function fill(select, names, chosen) {
     select.hidden = names.length < 2 && (names.length === 0 || names[0] === chosen);
-    if ([...select.options].map(({ value }) => value).join("\n") !== names.join("\n")) {
-        select.replaceChildren(...names.map((name) => new Option(name, name)));
+    const isGone = names.length > 0 && !names.includes(chosen);
+    const wanted = isGone ? [chosen, ...names] : names;
+    const isSame = [...select.options].map(({ value }) => value).join("\n") === wanted.join("\n");
+    if (!isSame) {
+        select.replaceChildren(...wanted.map((name) => new Option(name, name)));
+        if (isGone) {
+            [select.options[0].text, select.options[0].disabled] = [chosen ? `${chosen} (over)` : "choose", true];
+        }
     }
-    if (document.activeElement !== select) {
+    if (!isSame || document.activeElement !== select) {
         select.value = chosen;
     }
 }
 
-function showAbout(about, isRecording) {
+function showNotice() {
+    const waits = about.run?.paused && !frame ? "The run is paused: let it make a frame, or go on." : "";
+    by("notice").textContent = about.notice ?? waits;
+    by("notice").hidden = by("notice").textContent === "";
+}
+
+function showAbout(isRecording) {
+    if (title !== about.title) {
+        forget();
+    }
     title = about.title;
     document.title = title ? `${title} – conicflow` : "conicflow";
     by("title").textContent = title;
     variants = about.variants;
     showVariants();
-    by("title").hidden = about.pipelines.length > 1 || variants.length > 0;
-    const waits = about.run?.paused && !frame ? "The run is paused: let it make a frame, or go on." : "";
-    by("notice").textContent = about.notice ?? waits;
-    by("notice").hidden = by("notice").textContent === "";
+    showNotice();
     by("latency-vital").hidden = isRecording;
     fill(by("pipeline"), about.pipelines, title);
     fill(by("depth-topic"), about.depth_topics, about.depth_topic);
+    by("title").hidden = !by("pipeline").hidden || variants.length > 0;
     // A recording tells nothing of stages.
     document.body.classList.toggle("recording", isRecording);
     graph.show(about.graph, "No stages are seen yet.");
 }
 
-function tell(state, text) {
-    by("link").dataset.state = state;
+/** Marks whether what is shown is of now. */
+function showAge(isNow) {
+    isOld = !isNow;
+    document.body.classList.toggle("old", isOld);
+    if (isOld) {
+        by("latency").textContent = milliseconds(null);
+    }
+}
+
+function showState(state) {
+    const isWaiting = state === "good" && timeline.state === "waiting";
+    by("link").dataset.state = isWaiting ? "waits" : state;
     by("link").textContent = state === "bad" ? "no answer" : timeline.state;
     by("link").toggleAttribute("data-paused", timeline.state === "paused");
+}
+
+function tell(state, text) {
+    showState(state);
     if (state === "bad") {
         by("notice").hidden = false;
         by("notice").textContent = text;
+        shown = [];
+        writeRate();
         told = false;
     } else if (!told) {
         told = true;
-        by("notice").hidden = true;
+        showNotice();
     }
 }
 let told = true;
@@ -207,14 +254,19 @@ listen();
 follow({
     wanted: () => by("detail").value,
     show: (answer) => {
-        run = answer.about ? answer.about.run : run;
-        timeline.show(answer.player, run);
+        about = answer.about ?? about;
+        const isOver = !answer.player && !about.run && about.notice !== null && !about.pipelines.includes(about.title);
+        timeline.show(answer.player, about.run, isOver);
+        showState("good");
         if (answer.about) {
-            showAbout(answer.about, Boolean(answer.player));
+            showAbout(Boolean(answer.player));
         }
         if (answer.frame) {
             showFrame(answer.frame);
+        } else {
+            writeRate();
         }
+        showAge(!isOver && (answer.frame || !isOld));
     },
     tell,
     rest: () => (space === null || space.isSlow ? SLOW_MS : 0),

@@ -69,10 +69,13 @@ export async function follow({ wanted, show, tell, rest }) {
     }
 }
 
-/** Tells a wish, such as { do: "pause" }. */
+let told = Promise.resolve();
+
+/** Tells a wish, such as { do: "pause" }, when those before it are told: sent at once, they might come in another order. */
 export function wish(command) {
     const body = JSON.stringify(command);
-    fetch("command", { method: "POST", headers: { "Content-Type": "application/json" }, body }).catch(() => {
+    const tell = () => fetch("command", { method: "POST", headers: { "Content-Type": "application/json" }, body });
+    told = told.then(tell).catch(() => {
         // Whether the server is there is told by the asking.
     });
 }

@@ -5,6 +5,13 @@ import { wish } from "./server.js";
 const PLAY = "M4 2.5v11l9-5.5z";
 const PAUSE = "M3.5 3h3v10h-3zM9.5 3h3v10h-3z";
 
+/** What has a use of its own for a key: choices and sliders for the arrows, and for space as well as what it presses. */
+const OWN_ARROWS = 'select, input:not([type="checkbox"])';
+const OWN_SPACE = "select, input, button";
+
+/** Whether the arrows move something sideways. */
+const scrolls = ({ tabIndex, scrollWidth, clientWidth }) => tabIndex >= 0 && scrollWidth > clientWidth;
+
 /** Whether a run is paused, in words. */
 function told({ can_pause: canPause, live, paused }) {
     const names = live.join(", ");
@@ -19,7 +26,9 @@ export class Timeline {
     #parts;
     #player;
     #run;
+    #waits = false;
     #isHeld = false;
+    #hasStepped = false;
 
     constructor(footer) {
         const part = (id) => footer.querySelector(`#${id}`);
@@ -38,11 +47,19 @@ export class Timeline {
         });
         position.addEventListener("change", () => { this.#isHeld = false; });
         document.addEventListener("keydown", (event) => this.#key(event));
+        // What was used with a pointer gives the keys back; whoever uses the keyboard goes on from where they are.
+        document.addEventListener("click", ({ detail }) => {
+            const { activeElement } = document;
+            if (detail > 0 && activeElement?.matches("button, input")) {
+                activeElement.blur();
+            }
+        });
     }
 
-    /** Shows where the recording is, or whether the run is paused, if there is one. */
-    show(player, run) {
-        [this.#player, this.#run] = [player, player ? null : run];
+    /** Shows where the recording is, or whether the run is paused, if there is one; `waits` tells that none is there. */
+    show(player, run, waits) {
+        [this.#player, this.#run, this.#waits] = [player, player ? null : run, waits];
+        this.#hasStepped = false;
         const { footer, at, length, play, position, speed } = this.#parts;
         footer.hidden = !player && !run?.can_pause && !run?.live.length;
         this.#parts.ofRecordings.forEach((part) => { part.hidden = !player; });
@@ -61,21 +78,22 @@ export class Timeline {
     }
 
     #showState(play) {
-        play.querySelector("path").setAttribute("d", this.#goesOn ? PAUSE : PLAY);
-        play.setAttribute("aria-label", this.#goesOn ? "Pause" : "Play");
+        play.querySelector("path").setAttribute("d", this.goesOn ? PAUSE : PLAY);
+        play.setAttribute("aria-label", this.goesOn ? "Pause" : "Play");
         const { note, forward } = this.#parts;
         [play.disabled, forward.disabled] = [!this.#canPause, !this.#canPause];
         note.hidden = Boolean(this.#player);
         note.textContent = this.#run ? told(this.#run) : "";
     }
 
-    /** What is shown: "recording", "paused" or "live". */
+    /** What is shown: "recording", "waiting", "paused" or "live". */
     get state() {
-        return this.#player ? "recording" : this.#run?.paused ? "paused" : "live";
+        return this.#player ? "recording" : this.#waits ? "waiting" : this.#run?.paused ? "paused" : "live";
     }
 
-    get #goesOn() {
-        return this.#player ? this.#player.plays : !this.#run?.paused;
+    /** Whether one frame is to follow the other. */
+    get goesOn() {
+        return this.#player ? this.#player.plays : !this.#waits && !this.#run?.paused;
     }
 
     get #canPause() {
@@ -83,15 +101,24 @@ export class Timeline {
     }
 
     #toggle() {
-        wish({ do: this.#goesOn ? "pause" : "play" });
+        wish({ do: this.goesOn ? "pause" : "play" });
     }
 
     #key(event) {
-        const isTyped = ["INPUT", "SELECT", "BUTTON"].includes(event.target.tagName) && event.target.type !== "checkbox";
-        const keys = { " ": () => this.#toggle(), ArrowLeft: () => wish({ do: "step", by: -1 }), ArrowRight: () => wish({ do: "step", by: 1 }) };
-        if (this.#canPause && keys[event.key] && !isTyped) {
-            event.preventDefault();
-            keys[event.key]();
+        const { key, target, repeat } = event;
+        const step = (by) => wish({ do: "step", by });
+        const keys = { " ": () => this.#toggle(), ArrowLeft: () => step(-1), ArrowRight: () => step(1) };
+        // With these they are the browser's, such as the way back to another page.
+        const isBrowsers = event.altKey || event.ctrlKey || event.metaKey;
+        const isOwn = target.matches?.(key === " " ? OWN_SPACE : OWN_ARROWS) || (key !== " " && scrolls(target));
+        if (!this.#canPause || !keys[key] || isBrowsers || isOwn) {
+            return;
+        }
+        event.preventDefault();
+        // An arrow that is held steps on and on, as fast as steps are shown; space does not pause and go on by turns.
+        if (!repeat || (key !== " " && !this.#hasStepped)) {
+            this.#hasStepped = true;
+            keys[key]();
         }
     }
 }

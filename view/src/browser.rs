@@ -78,7 +78,7 @@ impl Page {
     }
 
     fn command(&self, request: &Request) -> Response {
-        if request.header("content-type") != Some("application/json") {
+        if !request.header("content-type").is_some_and(is_json) {
             return Response::refusal(415, "a wish is told in JSON");
         }
         match serde_json::from_slice(&request.body) {
@@ -87,6 +87,33 @@ impl Page {
                 Response::new(204, "text/plain; charset=utf-8", Vec::new())
             }
             Err(error) => Response::refusal(400, &format!("no wish that is known: {error}")),
+        }
+    }
+}
+
+/// Whether a `Content-Type` is that of JSON, with or without parameters such as its character set.
+fn is_json(kind: &str) -> bool {
+    kind.split(';').next().is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_wish_in_json_may_name_its_character_set() {
+        let page = Page::new(Arc::default());
+        let status = |kind: &str| {
+            let head = format!("POST /command HTTP/1.1\r\nContent-Type: {kind}\r\n\r\n");
+            let (mut request, _) = Request::parse(head.as_bytes()).unwrap().unwrap();
+            request.body = br#"{"do":"pause"}"#.to_vec();
+            page.answer(&request).status
+        };
+        for kind in ["application/json", "application/json; charset=utf-8", "Application/JSON;charset=UTF-8"] {
+            assert_eq!(status(kind), 204, "{kind}");
+        }
+        for kind in ["text/plain", "application/jsonp", "text/plain; application/json", ""] {
+            assert_eq!(status(kind), 415, "{kind}");
         }
     }
 }

@@ -14,16 +14,19 @@ const MOST_HEADERS: usize = 48;
 const IDLE: Duration = Duration::from_secs(20);
 /// A request that has begun is there as a whole after this time.
 const WHOLE: Duration = Duration::from_secs(4);
+/// Headers that are there once at most: who stands in between might read another of them.
+const ONCE: [&str; 3] = ["host", "content-length", "origin"];
 
 /// A request.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Request {
-    /// What is to be done, such as `GET`.
+    /// What is to be done, such as `GET`; what is asked for with `HEAD` is answered as with that, without the body.
     pub method: String,
     /// Where it goes, up to the question mark.
     pub path: String,
     query: String,
     headers: Vec<(String, String)>,
+    pub(crate) is_head: bool,
     pub(crate) body: Vec<u8>,
 }
 
@@ -47,13 +50,18 @@ impl Request {
         let (path, query) = target.split_once('?').unwrap_or((target, ""));
         let text = |value: &[u8]| String::from_utf8_lossy(value).trim().to_owned();
         let headers = parsed.headers.iter().map(|header| (header.name.to_ascii_lowercase(), text(header.value)));
+        let is_head = parsed.method == Some("HEAD");
         let request = Self {
-            method: parsed.method.unwrap_or_default().to_owned(),
+            method: if is_head { "GET" } else { parsed.method.unwrap_or_default() }.to_owned(),
             path: path.to_owned(),
             query: query.to_owned(),
             headers: headers.collect(),
+            is_head,
             body: Vec::new(),
         };
+        if ONCE.iter().any(|name| request.headers.iter().filter(|(known, _)| known == name).count() > 1) {
+            return Err(NoRequest::Bad(400, "the request has a header twice that may be there but once"));
+        }
         Ok(Some((request, length)))
     }
 
@@ -176,5 +184,25 @@ mod tests {
         assert!(matches!(length("Content-Length: 12000000"), Err(NoRequest::Bad(413, _))));
         assert!(matches!(length("Content-Length: -1"), Err(NoRequest::Bad(400, _))));
         assert!(matches!(length("Transfer-Encoding: chunked"), Err(NoRequest::Bad(411, _))));
+    }
+
+    #[test]
+    fn what_tells_where_a_request_goes_and_ends_is_told_once() {
+        let parse = |headers: &str| Request::parse(format!("GET / HTTP/1.1\r\n{headers}\r\n\r\n").as_bytes());
+        for headers in [
+            "Host: 127.0.0.1\r\nHost: evil.example",
+            "host: evil.example\r\nHost: 127.0.0.1",
+            "Content-Length: 3\r\nContent-Length: 30",
+            "Origin: http://127.0.0.1\r\nOrigin: http://evil.example",
+        ] {
+            assert!(matches!(parse(headers), Err(NoRequest::Bad(400, _))), "{headers}");
+        }
+        assert!(parse("Host: 127.0.0.1\r\nAccept: text/html\r\nAccept: */*").is_ok_and(|request| request.is_some()));
+    }
+
+    #[test]
+    fn a_head_is_asked_for_as_the_whole() {
+        let (request, _) = Request::parse(b"HEAD / HTTP/1.1\r\n\r\n").unwrap().unwrap();
+        assert!(request.is_get() && request.is_head);
     }
 }

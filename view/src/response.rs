@@ -25,12 +25,13 @@ pub struct Response {
     kind: &'static str,
     headers: Vec<(&'static str, String)>,
     body: Cow<'static, [u8]>,
+    is_head: bool,
 }
 
 impl Response {
     /// An answer with this status and a body of this kind.
     pub fn new(status: u16, kind: &'static str, body: impl Into<Cow<'static, [u8]>>) -> Self {
-        Self { status, kind, headers: Vec::new(), body: body.into() }
+        Self { status, kind, headers: Vec::new(), body: body.into(), is_head: false }
     }
 
     /// A file of the page.
@@ -59,6 +60,12 @@ impl Response {
         self
     }
 
+    /// The same for who asks for its head alone, which tells the length that the body has.
+    pub(crate) fn without_body(mut self) -> Self {
+        self.is_head = true;
+        self
+    }
+
     /// Writes it, unless the browser does not take it in time.
     pub(crate) fn write(&self, stream: &mut TcpStream, is_last: bool) -> io::Result<()> {
         let connection = if is_last { "close" } else { "keep-alive" };
@@ -75,7 +82,7 @@ impl Response {
         head.push_str("\r\n");
         let deadline = Instant::now() + TAKEN;
         write_all(stream, head.as_bytes(), deadline)?;
-        write_all(stream, &self.body, deadline)
+        write_all(stream, if self.is_head { &[] } else { &self.body }, deadline)
     }
 }
 

@@ -164,7 +164,8 @@ fn serve(mut stream: TcpStream, shared: &Shared) {
         let (response, is_last) = match Request::read(&mut stream, &mut rest) {
             Ok(request) => {
                 let refusal = shared.access.refusal(&request);
-                (refusal.unwrap_or_else(|| shared.answer.answer(&request)), request.is_last())
+                let response = refusal.unwrap_or_else(|| shared.answer.answer(&request));
+                (if request.is_head { response.without_body() } else { response }, request.is_last())
             }
             Err(NoRequest::Over) => return,
             Err(NoRequest::Bad(status, text)) => (Response::refusal(status, text), true),
@@ -172,5 +173,34 @@ fn serve(mut stream: TcpStream, shared: &Shared) {
         if response.write(&mut stream, is_last).is_err() || is_last {
             return;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::{Read, Write};
+
+    struct Told;
+
+    impl Answer for Told {
+        fn answer(&self, request: &Request) -> Response {
+            Response::new(if request.method == "GET" { 200 } else { 405 }, "text/plain", b"ten bytes.".as_slice())
+        }
+    }
+
+    #[test]
+    fn who_asks_for_the_head_is_sent_all_but_the_body() {
+        let server = Server::start(&Listen::open(SocketAddr::from((Ipv4Addr::LOCALHOST, 0))), Told).unwrap();
+        let answer = |method: &str| {
+            let mut stream = TcpStream::connect(server.address).unwrap();
+            write!(stream, "{method} / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").unwrap();
+            let mut text = String::new();
+            stream.read_to_string(&mut text).unwrap();
+            text
+        };
+        let whole = answer("GET");
+        assert!(whole.starts_with("HTTP/1.1 200 ") && whole.contains("Content-Length: 10\r\n"), "{whole}");
+        assert_eq!(whole, format!("{}ten bytes.", answer("HEAD")));
     }
 }
