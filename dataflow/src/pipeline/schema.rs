@@ -58,6 +58,9 @@ impl<'a> Checker<'a> {
         let properties = schema.get("properties").and_then(Json::as_object);
         // of a map, whose keys are free, the schema of all values
         let any = schema.get("additionalProperties").filter(|any| any.is_object());
+        if properties.is_none() && schema.get("additionalProperties").is_none() {
+            return; // described as any table
+        }
         for entry in &table.0 {
             if let Some(property) = properties.and_then(|properties| properties.get(&entry.key)).or(any) {
                 self.value(&entry.key, &entry.value, property);
@@ -224,6 +227,7 @@ mod tests {
         #[schemars(range(min = 1, max = 64))]
         count: Option<u32>,
         inner: Inner,
+        anything: Option<Json>,
     }
 
     #[derive(JsonSchema)]
@@ -235,9 +239,11 @@ mod tests {
     #[test]
     fn a_value_from_elsewhere_is_checked_as_one_of_a_file() {
         let fault = |value: Json| value_fault::<Limits>("limits", &value).map(|fault| fault.what);
-        for good in
-            [json!({ "count": 64, "inner": { "word": "a" } }), json!({ "count": null, "inner": { "word": "" } })]
-        {
+        for good in [
+            json!({ "count": 64, "inner": { "word": "a" } }),
+            json!({ "count": null, "inner": { "word": "" } }),
+            json!({ "inner": { "word": "" }, "anything": { "one": [2, { "three": 4.0 }] } }),
+        ] {
             assert_eq!(fault(good), None);
         }
         for (wrong, told) in [
