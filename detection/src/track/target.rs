@@ -39,7 +39,7 @@ pub struct Target {
     radius: Size,
     length: Size,
     axis: Option<Axis>,
-    /// So many more sights had the axis of a cone this way than the other way round; a sight that goes beyond that turns it over.
+    /// So many more sights had the axis of a cone this way than the other way round. An opposite sight at 0 turns it over.
     sense: u32,
     half_angle: Option<Size>,
     common: CommonError,
@@ -127,8 +127,8 @@ impl Target {
 
     /// Keeps what became of it in a frame, `then`, in which it was seen or not.
     ///
-    /// A frame that is older than the newest that it has taken in corrects the present by what it still tells of that. Where
-    /// another camera saw it last and this one did not, its motion stays: that camera may yet tell of a time before.
+    /// A late sight is taken in at its own time, with the noise since then added to it, and the motion then goes forward again.
+    /// Where another camera saw it last and this one did not, its motion stays: that camera may yet tell of a time before.
     pub fn keep(&mut self, then: &Self, seen: Option<&Detection>, time: &Advance, config: &TrackerParameters) {
         let lag_s = (self.at_ns - time.at_ns).max(0) as f64 * 1e-9;
         match seen {
@@ -231,7 +231,9 @@ impl Target {
         if self.cost(detection, config).is_none() {
             self.motion = self.pushed(time, config);
         }
-        (self.seen_by, self.seen_at_ns) = (time.source, time.at_ns);
+        if time.at_ns >= self.seen_at_ns {
+            (self.seen_by, self.seen_at_ns) = (time.source, time.at_ns);
+        }
         if let Some(innovation) = self.motion.innovation(&detection.position, &detection.covariance) {
             self.motion.update(&innovation, &detection.covariance);
         }
@@ -396,7 +398,11 @@ mod tests {
             let (source, elapsed_s, usual_s, new_run) = (0, 0.0, f64::INFINITY, false);
             Advance { source, at_ns: at_ms * 1_000_000, elapsed_s, usual_s, new_run }
         };
-        let target = Target::born(1, &first, &time(100), &config);
+        let mut target = Target::born(1, &first, &time(100), &config);
+        // Another camera saw it before, and tells so now.
+        let before = Advance { source: 1, ..time(60) };
+        target.keep(&target.at(&before, false, &config), Some(&first), &before, &config);
+        assert_eq!(target.seen_by, 0, "who saw it last can miss it");
         for (at_ms, since_s) in [(240, 0.14), (220, 0.12), (80, 0.0)] {
             let expected = target.motion.kicked(since_s, config.manoeuvre_mps);
             let off = target.pushed(&time(at_ms), &config).covariance - expected.covariance;
