@@ -201,27 +201,14 @@ impl RunFolder {
     /// Another run has it, or stages of another run stay.
     pub fn lock(&self, name: &str) -> Result<RunLock, FolderError> {
         let (path, file) = self.open_lock("lock")?;
-        let deadline = Instant::now() + LOOK_GRACE;
-        loop {
-            match file.try_lock() {
-                Ok(()) => break,
-                Err(TryLockError::WouldBlock) if Instant::now() < deadline && is_only_looked_at(&file) => {
-                    sleep(Duration::from_millis(10));
-                }
-                Err(TryLockError::WouldBlock) => return Err(FolderError::Running { name: name.to_owned() }),
-                Err(TryLockError::Error(error)) => return Err(FolderError::Io { path, error }),
-            }
+        if !lock_within(LOOK_GRACE, &file, is_only_looked_at).map_err(FolderError::at(&path))? {
+            return Err(FolderError::Running { name: name.to_owned() });
         }
-        let deadline = Instant::now() + LAST_STAGES_GRACE;
         let (path, stages) = self.open_lock("stages.lock")?;
-        loop {
-            match stages.try_lock() {
-                Ok(()) => return Ok(RunLock { file, plan: self.path.join(PLAN) }),
-                Err(TryLockError::WouldBlock) if Instant::now() < deadline => sleep(Duration::from_millis(10)),
-                Err(TryLockError::WouldBlock) => return Err(FolderError::Occupied { name: name.to_owned() }),
-                Err(TryLockError::Error(error)) => return Err(FolderError::Io { path, error }),
-            }
+        if !lock_within(LAST_STAGES_GRACE, &stages, |_| true).map_err(FolderError::at(&path))? {
+            return Err(FolderError::Occupied { name: name.to_owned() });
         }
+        Ok(RunLock { file, plan: self.path.join(PLAN) })
     }
 
     /// Whether a run has the folder now.
@@ -304,9 +291,7 @@ impl RunFolder {
     pub(crate) fn discard(&self) -> Result<(), FolderError> {
         let name = self.path.file_name().unwrap_or_default().to_string_lossy();
         let _lock = self.lock(&name)?;
-        self.remove_records()?;
-        let path = self.path.join(PLAN);
-        fs::remove_file(&path).map_err(FolderError::at(&path))
+        self.empty()
     }
 
     fn remove_records(&self) -> Result<(), FolderError> {
@@ -360,6 +345,21 @@ impl RunFolder {
         match serde_json::from_slice::<Agreed>(&text).map_err(fault.clone())?.layout {
             LAYOUT => serde_json::from_slice(&text).map_err(fault),
             launcher => Err(FolderError::OtherVersion { own: LAYOUT, launcher }),
+        }
+    }
+}
+
+/// Takes a lock, and waits so long for those who have it, if they are worth waiting for; whether it was taken.
+fn lock_within(grace: Duration, lock: &File, is_worth_waiting: impl Fn(&File) -> bool) -> io::Result<bool> {
+    let deadline = Instant::now() + grace;
+    loop {
+        match lock.try_lock() {
+            Ok(()) => return Ok(true),
+            Err(TryLockError::WouldBlock) if Instant::now() < deadline && is_worth_waiting(lock) => {
+                sleep(Duration::from_millis(10));
+            }
+            Err(TryLockError::WouldBlock) => return Ok(false),
+            Err(TryLockError::Error(error)) => return Err(error),
         }
     }
 }

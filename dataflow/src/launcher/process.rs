@@ -414,7 +414,7 @@ fn listen_for_signals(stop: Stop, is_source: bool) -> Result<(), ProcessError> {
             heed(signal, &stop, is_source);
             if signal == SIGTERM {
                 std::thread::sleep(LAST_GRACE);
-                std::process::exit(ended_by(SIGTERM));
+                std::process::exit(128 + SIGTERM); // as a shell tells that a signal has ended a process
             }
         }
     };
@@ -433,11 +433,6 @@ fn heed(signal: i32, stop: &Stop, is_source: bool) {
     } else if signal == SIGTERM {
         stop.force();
     }
-}
-
-/// The exit code by which a shell tells that a signal has ended a process.
-fn ended_by(signal: i32) -> i32 {
-    128 + signal
 }
 
 #[cfg(test)]
@@ -637,11 +632,6 @@ mod tests {
             heed(signal, &stop, is_source);
             assert_eq!((stop.requested(), stop.forced(), stop.leaving()), (requested, forced, leaving), "{signal}");
         }
-    }
-
-    #[test]
-    fn a_stage_that_ends_at_once_exits_as_shells_tell_of_sigterm() {
-        assert_eq!(ended_by(SIGTERM), 143);
     }
 
     #[test]
