@@ -186,8 +186,20 @@ class OakD:
 
             depth = types.SimpleNamespace(createOutputQueue=lambda maxSize, blocking: Queue())
 
+            def __init__(self):
+                self.initialConfig = sdk.config = types.SimpleNamespace(
+                    median="KERNEL_7x7",
+                    setMedianFilter=lambda median: setattr(sdk.config, "median", median),
+                    postProcessing=types.SimpleNamespace(
+                        decimationFilter=types.SimpleNamespace(decimationFactor=2),
+                        **{name: types.SimpleNamespace(enable=True) for name in sdk.filters},
+                    ),
+                )
+
             def build(self, create_cameras, **arguments):
                 sdk.built = arguments
+                if sdk.cannot:
+                    raise RuntimeError(sdk.cannot)
 
             def setRectification(self, is_on):
                 assert is_on
@@ -206,10 +218,22 @@ class OakD:
             stop = staticmethod(lambda: None)
             isRunning = staticmethod(lambda: sdk.is_running)
 
+        class DeviceInfo:
+            def __init__(self, serial):
+                self.serial = serial
+
+            def getDeviceId(self):
+                return self.serial
+
         class Device:
             def __init__(self, info):
                 if sdk.busy:
                     raise RuntimeError("X_LINK_DEVICE_ALREADY_IN_USE")
+
+            def getConnectedCameraFeatures(self):
+                config = types.SimpleNamespace(width=1280, height=800, maxFps=120.0)
+                kind = {"sensorName": "OV9282", "width": 1280, "height": 800, "configs": [config]}
+                return [types.SimpleNamespace(socket=socket, **kind) for socket in sdk.sockets]
 
             def readCalibration(self):
                 return types.SimpleNamespace(
@@ -223,12 +247,15 @@ class OakD:
 
             @staticmethod
             def getAllAvailableDevices():
-                return [types.SimpleNamespace(getDeviceId=lambda serial=serial: serial) for serial in devices]
+                return [DeviceInfo(serial) for serial in devices]
 
-        self.busy = False
+        self.busy, self.cannot, self.sockets = False, None, [1, 2]
+        self.filters = ["temporalFilter", "spatialFilter", "speckleFilter", "holeFilling", "adaptiveMedianFilter"]
         self.module = module(
             "depthai",
             Device=Device,
+            DeviceInfo=DeviceInfo,
+            StereoDepthConfig=types.SimpleNamespace(MedianFilter=types.SimpleNamespace(MEDIAN_OFF="MEDIAN_OFF")),
             Pipeline=Pipeline,
             node=types.SimpleNamespace(StereoDepth=StereoDepth),
             Clock=types.SimpleNamespace(now=lambda: datetime.timedelta(seconds=100)),
@@ -239,7 +266,7 @@ class AzureKinect:
     """pyk4a: a camera or a recording that gives what a script says."""
 
     def __init__(self, script, serials=("0001",)):
-        self.script, self.opened, self.config = list(script), [], None
+        self.script, self.opened, self.config, self.busy = list(script), [], None, ()
         sdk = self
 
         class DepthMode(IntEnum):
@@ -265,6 +292,8 @@ class AzureKinect:
                 sdk.config, self.serial = config, serials[device_id]
 
             def open(self):
+                if self.serial in sdk.busy:
+                    raise OSError
                 sdk.opened.append(self.serial)
 
             def close(self):
