@@ -41,15 +41,15 @@ class Orbbec:
             PLAYING, STOPPED = range(2)
 
         class Profile:
-            def __init__(self, form, width, height, fps):
-                self.get_format, self.get_width = lambda: form, lambda: width
+            def __init__(self, form, width, height, fps, fx=10.0):
+                self.fx, self.get_format, self.get_width = fx, lambda: form, lambda: width
                 self.get_height, self.get_fps = lambda: height, lambda: fps
 
             def as_video_stream_profile(self):
                 return self
 
             def get_intrinsic(self):
-                return types.SimpleNamespace(fx=10.0, fy=11.0, cx=3.5, cy=2.5, width=0, height=0)
+                return types.SimpleNamespace(fx=self.fx, fy=11.0, cx=3.5, cy=2.5, width=0, height=0)
 
             def get_distortion(self):
                 keys = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
@@ -67,7 +67,8 @@ class Orbbec:
             def __init__(self, value):
                 self.value = value
 
-            get_width, get_height = staticmethod(lambda: WIDTH), staticmethod(lambda: HEIGHT)
+            get_width, get_height = staticmethod(lambda: sdk.size[0]), staticmethod(lambda: sdk.size[1])
+            get_stream_profile = staticmethod(lambda: Profile(OBFormat.Y16, *sdk.size, 30, fx=10.0 * sdk.size[0] / WIDTH))
             get_depth_scale = staticmethod(lambda: 0.1)  # millimetres a unit
 
             def get_data(self):
@@ -84,7 +85,8 @@ class Orbbec:
 
         class Pipeline:
             def __init__(self, device):
-                pass
+                if sdk.busy:
+                    raise RuntimeError("LIBUSB_ERROR_BUSY")
 
             def get_stream_profile_list(self, sensor):
                 return Profiles
@@ -133,7 +135,7 @@ class Orbbec:
             set_logger_to_file = staticmethod(lambda level, folder: None)
             query_devices = staticmethod(lambda: Devices)
 
-        self.has_global_clock = True
+        self.has_global_clock, self.size, self.busy = True, (WIDTH, HEIGHT), False
         self.module = module(
             "pyorbbecsdk",
             OBFormat=OBFormat,

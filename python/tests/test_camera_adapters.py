@@ -54,6 +54,23 @@ def test_orbbec_takes_the_format_that_is_asked_for(monkeypatch):
         adapter.connect(SETTINGS._replace(serial="X"))
 
 
+def test_the_noise_of_orbbec_is_that_of_the_lens(monkeypatch):
+    sdk = Orbbec([1, 2])
+    camera = take_place(monkeypatch, sdk, "orbbec").connect(SETTINGS)
+    assert camera.read(0.1).noise == stereo_noise(10.0, 0.095)
+    sdk.size = (2 * WIDTH, HEIGHT)
+    frame = camera.read(0.1)
+    assert (frame.lens.width, frame.lens.fx, frame.noise) == (2 * WIDTH, 20.0, stereo_noise(20.0, 0.095))
+
+
+def test_an_orbbec_camera_that_is_busy_is_named(monkeypatch):
+    sdk = Orbbec([1])
+    sdk.busy = True
+    told = "Orbbec Gemini 335 .serial number CP1. cannot be opened: LIBUSB_ERROR_BUSY\n  hint: does another program use it"
+    with pytest.raises(NotThere, match=told):
+        take_place(monkeypatch, sdk, "orbbec").connect(SETTINGS)
+
+
 def test_orbbec_of_time_of_flight_is_distorted(monkeypatch):
     sdk = Orbbec([1], "Orbbec Femto Bolt", None, (0.5, 0.1, 0.0, 0.0, 0.01, 0.8, 0.2, 0.02))
     sdk.has_global_clock = False
