@@ -2,7 +2,6 @@
 for that."""
 
 import importlib
-import importlib.metadata
 import json
 import os
 import sys
@@ -45,6 +44,9 @@ def refuse_other_versions(sdk: "Sdk", module: ModuleType) -> None:
 
 
 def _version(package: str) -> str:
+    # It loads half of the standard library, which those that are right need not wait for.
+    import importlib.metadata
+
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
