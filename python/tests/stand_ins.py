@@ -41,15 +41,15 @@ class Orbbec:
             PLAYING, STOPPED = range(2)
 
         class Profile:
-            def __init__(self, form, width, height, fps):
-                self.get_format, self.get_width = lambda: form, lambda: width
+            def __init__(self, form, width, height, fps, fx=10.0):
+                self.fx, self.get_format, self.get_width = fx, lambda: form, lambda: width
                 self.get_height, self.get_fps = lambda: height, lambda: fps
 
             def as_video_stream_profile(self):
                 return self
 
             def get_intrinsic(self):
-                return types.SimpleNamespace(fx=10.0, fy=11.0, cx=3.5, cy=2.5, width=0, height=0)
+                return types.SimpleNamespace(fx=self.fx, fy=11.0, cx=3.5, cy=2.5, width=0, height=0)
 
             def get_distortion(self):
                 keys = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
@@ -67,7 +67,8 @@ class Orbbec:
             def __init__(self, value):
                 self.value = value
 
-            get_width, get_height = staticmethod(lambda: WIDTH), staticmethod(lambda: HEIGHT)
+            get_width, get_height = staticmethod(lambda: sdk.size[0]), staticmethod(lambda: sdk.size[1])
+            get_stream_profile = staticmethod(lambda: Profile(OBFormat.Y16, *sdk.size, 30, fx=10.0 * sdk.size[0] / WIDTH))
             get_depth_scale = staticmethod(lambda: 0.1)  # millimetres a unit
 
             def get_data(self):
@@ -84,7 +85,8 @@ class Orbbec:
 
         class Pipeline:
             def __init__(self, device):
-                pass
+                if sdk.busy:
+                    raise RuntimeError("LIBUSB_ERROR_BUSY")
 
             def get_stream_profile_list(self, sensor):
                 return Profiles
@@ -133,7 +135,7 @@ class Orbbec:
             set_logger_to_file = staticmethod(lambda level, folder: None)
             query_devices = staticmethod(lambda: Devices)
 
-        self.has_global_clock = True
+        self.has_global_clock, self.size, self.busy = True, (WIDTH, HEIGHT), False
         self.module = module(
             "pyorbbecsdk",
             OBFormat=OBFormat,
@@ -186,8 +188,20 @@ class OakD:
 
             depth = types.SimpleNamespace(createOutputQueue=lambda maxSize, blocking: Queue())
 
+            def __init__(self):
+                self.initialConfig = sdk.config = types.SimpleNamespace(
+                    median="KERNEL_7x7",
+                    setMedianFilter=lambda median: setattr(sdk.config, "median", median),
+                    postProcessing=types.SimpleNamespace(
+                        decimationFilter=types.SimpleNamespace(decimationFactor=2),
+                        **{name: types.SimpleNamespace(enable=True) for name in sdk.filters},
+                    ),
+                )
+
             def build(self, create_cameras, **arguments):
                 sdk.built = arguments
+                if sdk.cannot:
+                    raise RuntimeError(sdk.cannot)
 
             def setRectification(self, is_on):
                 assert is_on
@@ -206,10 +220,22 @@ class OakD:
             stop = staticmethod(lambda: None)
             isRunning = staticmethod(lambda: sdk.is_running)
 
+        class DeviceInfo:
+            def __init__(self, serial):
+                self.serial = serial
+
+            def getDeviceId(self):
+                return self.serial
+
         class Device:
             def __init__(self, info):
                 if sdk.busy:
                     raise RuntimeError("X_LINK_DEVICE_ALREADY_IN_USE")
+
+            def getConnectedCameraFeatures(self):
+                config = types.SimpleNamespace(width=1280, height=800, maxFps=120.0)
+                kind = {"sensorName": "OV9282", "width": 1280, "height": 800, "configs": [config]}
+                return [types.SimpleNamespace(socket=socket, **kind) for socket in sdk.sockets]
 
             def readCalibration(self):
                 return types.SimpleNamespace(
@@ -223,12 +249,15 @@ class OakD:
 
             @staticmethod
             def getAllAvailableDevices():
-                return [types.SimpleNamespace(getDeviceId=lambda serial=serial: serial) for serial in devices]
+                return [DeviceInfo(serial) for serial in devices]
 
-        self.busy = False
+        self.busy, self.cannot, self.sockets = False, None, [1, 2]
+        self.filters = ["temporalFilter", "spatialFilter", "speckleFilter", "holeFilling", "adaptiveMedianFilter"]
         self.module = module(
             "depthai",
             Device=Device,
+            DeviceInfo=DeviceInfo,
+            StereoDepthConfig=types.SimpleNamespace(MedianFilter=types.SimpleNamespace(MEDIAN_OFF="MEDIAN_OFF")),
             Pipeline=Pipeline,
             node=types.SimpleNamespace(StereoDepth=StereoDepth),
             Clock=types.SimpleNamespace(now=lambda: datetime.timedelta(seconds=100)),
@@ -239,7 +268,7 @@ class AzureKinect:
     """pyk4a: a camera or a recording that gives what a script says."""
 
     def __init__(self, script, serials=("0001",)):
-        self.script, self.opened, self.config = list(script), [], None
+        self.script, self.opened, self.config, self.busy = list(script), [], None, ()
         sdk = self
 
         class DepthMode(IntEnum):
@@ -265,6 +294,8 @@ class AzureKinect:
                 sdk.config, self.serial = config, serials[device_id]
 
             def open(self):
+                if self.serial in sdk.busy:
+                    raise OSError
                 sdk.opened.append(self.serial)
 
             def close(self):

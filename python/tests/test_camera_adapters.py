@@ -54,6 +54,23 @@ def test_orbbec_takes_the_format_that_is_asked_for(monkeypatch):
         adapter.connect(SETTINGS._replace(serial="X"))
 
 
+def test_the_noise_of_orbbec_is_that_of_the_lens(monkeypatch):
+    sdk = Orbbec([1, 2])
+    camera = take_place(monkeypatch, sdk, "orbbec").connect(SETTINGS)
+    assert camera.read(0.1).noise == stereo_noise(10.0, 0.095)
+    sdk.size = (2 * WIDTH, HEIGHT)
+    frame = camera.read(0.1)
+    assert (frame.lens.width, frame.lens.fx, frame.noise) == (2 * WIDTH, 20.0, stereo_noise(20.0, 0.095))
+
+
+def test_an_orbbec_camera_that_is_busy_is_named(monkeypatch):
+    sdk = Orbbec([1])
+    sdk.busy = True
+    told = "Orbbec Gemini 335 .serial number CP1. cannot be opened: LIBUSB_ERROR_BUSY\n  hint: does another program use it"
+    with pytest.raises(NotThere, match=told):
+        take_place(monkeypatch, sdk, "orbbec").connect(SETTINGS)
+
+
 def test_orbbec_of_time_of_flight_is_distorted(monkeypatch):
     sdk = Orbbec([1], "Orbbec Femto Bolt", None, (0.5, 0.1, 0.0, 0.0, 0.01, 0.8, 0.2, 0.02))
     sdk.has_global_clock = False
@@ -110,9 +127,36 @@ def test_oak_d_that_cannot_be_opened_is_let_go(monkeypatch):
     sdk = OakD([1])
     adapter = take_place(monkeypatch, sdk, "oakd")
     sdk.module.Pipeline.start = lambda self: (_ for _ in ()).throw(RuntimeError("no firmware"))
-    with pytest.raises(RuntimeError, match="no firmware"):
+    with pytest.raises(NotThere, match="OAK-D .serial number 1844. cannot be opened: no firmware\n  hint: does another"):
         adapter.connect(SETTINGS)
     assert sdk.closed
+
+
+@pytest.mark.parametrize("lacking", [None, "adaptiveMedianFilter"])
+def test_oak_d_neither_smooths_nor_shrinks(monkeypatch, lacking):
+    sdk = OakD([1])
+    sdk.filters = [name for name in sdk.filters if name != lacking]
+    take_place(monkeypatch, sdk, "oakd").connect(SETTINGS)
+    after = vars(sdk.config.postProcessing)
+    assert sdk.config.median == "MEDIAN_OFF" and after.pop("decimationFilter").decimationFactor == 1
+    assert len(after) == len(sdk.filters) and not any(each.enable for each in after.values())
+
+
+def test_oak_d_refuses_what_it_cannot_do(monkeypatch):
+    sdk = OakD([1])
+    sdk.cannot = "requested size is not supported"
+    adapter = take_place(monkeypatch, sdk, "oakd")
+    wanted = SETTINGS._replace(width=1920, height=1080, fps=500)
+    told = "no depth images of 1920x1080 at 500 Hz: requested size is.*\n  hint: it has 1280x800 up to 120 Hz .OV9282."
+    with pytest.raises(Refused, match=told):
+        adapter.connect(wanted)
+    assert sdk.closed
+    sdk.cannot = "Couldn't write data to stream (X_LINK_ERROR)"
+    with pytest.raises(NotThere, match="cannot be opened"):
+        adapter.connect(wanted)
+    sdk.sockets = [0]
+    with pytest.raises(Refused, match="no calibrated pair of cameras for stereo\n  hint: it has OV9282 on 0"):
+        adapter.connect(SETTINGS)
 
 
 def test_azure_kinect_tells_lens_and_stamp(monkeypatch):
@@ -162,6 +206,19 @@ def test_of_several_azure_kinects_that_with_the_serial_number_is_taken(monkeypat
         adapter.connect(SETTINGS._replace(serial="3"))
 
 
+def test_an_azure_kinect_that_another_program_has_is_passed_over(monkeypatch):
+    sdk = AzureKinect([1], serials=("0001", "0002"))
+    sdk.busy = ("0001",)
+    adapter = take_place(monkeypatch, sdk, "azure_kinect")
+    assert adapter.connect(SETTINGS).name == "Azure Kinect (serial number 0002)"
+    assert adapter.connect(SETTINGS._replace(serial="0002")).name == "Azure Kinect (serial number 0002)"
+    with pytest.raises(NotThere, match="connected: Azure Kinect number 1, which cannot be opened: OSError; does another.*, 0002"):
+        adapter.connect(SETTINGS._replace(serial="0001"))
+    sdk.busy = ("0001", "0002")
+    with pytest.raises(NotThere, match="no Azure Kinect can be opened\n  hint: connected: Azure Kinect number 1, which"):
+        adapter.connect(SETTINGS)
+
+
 def test_a_recording_of_azure_kinect_keeps_its_stamps_and_ends(monkeypatch):
     adapter = take_place(monkeypatch, AzureKinect([10, 43]), "azure_kinect")
     frames = read_all(adapter.connect(SETTINGS._replace(path="run.mkv")))
@@ -182,6 +239,20 @@ def test_an_sdk_that_is_not_there_is_named_with_what_to_install(adapter, tmp_pat
     package = SDKS[adapter][0]
     assert asked.returncode == 2 and told["what"] == f"{sys.executable} has no {package} (not here)"
     assert told["hint"].startswith(f"`{sys.executable} -m pip install {package}`")
+
+
+@pytest.mark.parametrize("adapter", ADAPTERS)
+def test_an_sdk_of_another_version_is_refused(adapter, tmp_path, monkeypatch):
+    sdk = SDKS[adapter]
+    (tmp_path / f"{sdk.module}.py").touch()
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    asked = subprocess.run(
+        [sys.executable, "-m", "conicflow.cameras", adapter, "--check"], capture_output=True, text=True, cwd=tmp_path
+    )
+    told = json.loads(asked.stdout)
+    assert asked.returncode == 2 and told["what"].startswith(f"{sdk.package} ")
+    assert told["what"].endswith(f" of {sys.executable} has no `{sdk.needs[0]}`")
+    assert told["hint"] == f"`{sys.executable} -m pip install --upgrade {sdk.package}`"
 
 
 def test_a_python_that_a_distribution_keeps_for_itself_gets_an_environment(tmp_path, monkeypatch):

@@ -4,6 +4,7 @@ Without a camera and without a pipeline.
 """
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -255,6 +256,59 @@ def test_stamps_of_a_clock_of_its_own():
         now = 103 * second + step * second
         stamp = clock.stamp_ns(round(step * second * (1 - 5e-5)), now_ns=now)
     assert abs(stamp - now) < 1_000_000
+
+
+@pytest.mark.parametrize("step", [0.5, 0.9, -0.5])
+def test_stamps_are_right_soon_after_a_clock_was_set(step):
+    clock, random = DeviceClock(), np.random.default_rng(1)
+    for number in range(30 * 60):
+        taken_s = number / 30
+        is_set = taken_s >= 30
+        comes_s = taken_s + 100 + step * is_set + random.exponential(0.002)
+        wrong_s = clock.stamp_ns(round(taken_s * 1e9), round(comes_s * 1e9)) * 1e-9 - (taken_s + 100 + step * is_set)
+        if not is_set or taken_s > 34:
+            assert -1e-6 < wrong_s < 0.006, (taken_s, wrong_s)
+
+
+def test_images_that_come_late_for_a_while_set_no_clock():
+    clock = DeviceClock()
+    for number in range(300):
+        # A busy computer: most are late for five seconds, not all.
+        late_s = 0.2 if 100 <= number < 250 and number % 10 else 0.0
+        taken_ns = round(number / 30 * 1e9)
+        assert clock.stamp_ns(taken_ns, taken_ns + round(late_s * 1e9)) - taken_ns < 1_000_000
+
+
+def test_stamps_of_a_camera_do_not_go_back_a_little():
+    script = [replace(frame(), stamp_ns=10**12 + stamp_ms * 10**6) for stamp_ms in (0, 33, 26, 60, -5000)]
+    frames, _, _ = play([FakeCamera(*script)])
+    assert [each.stamp_ns - 10**12 for each in frames] == [0, 33_000_000, 33_000_001, 60_000_000, -5_000_000_000]
+    recording = SETTINGS._replace(path="a.bag")
+    frames, _, _ = play([FakeCamera(*script, EndOfRecording())], recording)
+    assert [each.stamp_ns for each in frames] == [each.stamp_ns for each in script], "a recording's are kept"
+
+
+@pytest.mark.parametrize("error", [AttributeError("no getDeviceId"), TypeError("no argument fps"), ImportError("no core")])
+def test_an_sdk_of_another_version_is_not_waited_for(error):
+    with pytest.raises(Refused, match=f"SDK is not one that this node can use: {type(error).__name__}: no "):
+        play([error])
+    with pytest.raises(Refused):
+        play([FakeCamera(error)])
+    frames, told, _ = play([FakeCamera(frame(1), error), FakeCamera(frame(2))])
+    assert len(frames) == 2, "it has worked"
+
+
+def test_a_camera_that_cannot_be_opened_is_named():
+    _, told, _ = play([OSError("busy")], SETTINGS._replace(serial="0007"))
+    what = "the camera with serial number 0007 cannot be opened: busy\n  hint: does another program use it?"
+    assert told[0] == ("warn", f"{what}\n  the stage waits for the camera")
+
+
+def test_another_lens_is_told_by_its_numbers():
+    zoomed = LENS._replace(fx=12.0)
+    _, told, _ = play([FakeCamera(frame(1), frame(2, zoomed), EndOfRecording())])
+    was, is_now = "fx 10.0 fy 10.0 cx 3.5 cy 2.5", "fx 12.0 fy 10.0 cx 3.5 cy 2.5"
+    assert told[1:] == [("warn", f"fake sees through another lens from now on: {is_now}; before: {was}")]
 
 
 def test_noise_is_never_guessed():

@@ -142,7 +142,7 @@ def test_what_cannot_be_is_refused_with_what_there_is(playground, monkeypatch):
     plugged.plug("large")
     _, told = playground.run("run", code=1)
     assert "has no depth images of 640x480" in told and "hint: it has 320x240 at 30 Hz" in told
-    assert "stage `camera` could not be made ready" in told
+    assert "stage `camera` could not be made ready" in told and "SystemExit" not in told
     (playground.folder / "run.bag").write_text("junk")
     pipeline(playground, 'path = "run.bag"')
     _, told = playground.run("run", code=1)
@@ -176,6 +176,65 @@ def test_of_two_cameras_that_with_the_serial_number_is_taken(monkeypatch):
     camera.close()
     with pytest.raises(Exception, match=f"with serial number 7 is connected\n.*connected: .*number {SERIAL}"):
         connect(SETTINGS._replace(serial="7"))
+
+
+class Tracking:
+    """A device without depths."""
+
+    def supports(self, what):
+        return False
+
+    def query_sensors(self):
+        return []
+
+
+def plug_in(monkeypatch, devices):
+    class Context:
+        def query_devices(self):
+            return devices
+
+    monkeypatch.setattr(rs, "context", Context)
+
+
+def test_of_two_cameras_the_first_with_depths_is_taken(monkeypatch):
+    plug_in(monkeypatch, [Tracking(), SoftwareRealSense().device])
+    camera = connect(SETTINGS)
+    camera.close()
+    assert SERIAL in camera.name
+    plug_in(monkeypatch, [Tracking()])
+    with pytest.raises(Refused, match="has no depth sensor\n  hint: name one that has"):
+        connect(SETTINGS)
+
+
+def test_an_older_sdk_tells_only_which_devices_there_are(monkeypatch):
+    class Older:
+        def __init__(self):
+            self._made = SoftwareRealSense()
+
+        def __getattr__(self, name):
+            if name == "is_connected":
+                raise AttributeError(name)
+            return getattr(self._made.device, name)
+
+    there = [Older()]
+    plug_in(monkeypatch, there)
+    camera = connect(SETTINGS)
+    assert camera.read(0.01) is None
+    there.clear()
+    with pytest.raises(ConnectionError, match="unplugged"):
+        camera.read(0.01)
+    camera.close()
+
+
+def test_the_noise_is_that_of_the_lens():
+    device = SoftwareRealSense()
+    camera = RealSense(device.device, SETTINGS, None)
+    wider = camera._lens._replace(fx=camera._lens.fx / 2)
+    camera._lens = wider
+    camera._noise = stereo_noise(wider.fx, BASELINE_MM * 1e-3)
+    device.show(3, 5000.0)
+    assert camera.read(30.0).noise == NOISE
+    camera.close()
 
 
 def opened(device, settings=SETTINGS):

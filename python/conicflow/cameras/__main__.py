@@ -6,9 +6,10 @@ import json
 import os
 import sys
 import sysconfig
+from contextlib import ExitStack
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Optional
+from typing import Any, NamedTuple, Optional
 
 import conicflow
 from conicflow._conicflow import log
@@ -23,11 +24,33 @@ REFUSED = 2
 
 def load(adapter: str) -> ModuleType:
     """The adapter, with its SDK."""
+    sdk = SDKS[adapter]
     try:
+        refuse_other_versions(sdk, importlib.import_module(sdk.module))
         return importlib.import_module(f"conicflow.cameras.{adapter}")
     except (ImportError, OSError) as error:
-        package, beside = SDKS[adapter]
-        raise Refused(f"{sys.executable} has no {package} ({error})", how_to_install(package, beside)) from error
+        raise Refused(f"{sys.executable} has no {sdk.package} ({error})", how_to_install(sdk.package, sdk.beside)) from error
+
+
+def refuse_other_versions(sdk: "Sdk", module: ModuleType) -> None:
+    """Looks whether an SDK has what the adapter calls, before a camera is waited for that it could not open."""
+    for name in sdk.needs:
+        part: Any = module
+        for word in name.split("."):
+            part = getattr(part, word, None)
+        if part is None:
+            what = f"{sdk.package} {_version(sdk.package)} of {sys.executable} has no `{name}`"
+            raise Refused(what, f"`{sys.executable} -m pip install --upgrade {sdk.package}`")
+
+
+def _version(package: str) -> str:
+    # It loads half of the standard library, which those that are right need not wait for.
+    import importlib.metadata
+
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "(of a version that is not known)"
 
 
 def how_to_install(package: str, beside: str) -> str:
@@ -40,13 +63,46 @@ def how_to_install(package: str, beside: str) -> str:
     return f'{install}; or name a Python that has it: `python = "venv/bin/python"`'
 
 
+class Sdk(NamedTuple):
+    """What an adapter needs."""
+
+    package: str
+    """What pip installs."""
+    beside: str
+    """What the package needs, in words."""
+    module: str
+    """What Python imports."""
+    needs: tuple[str, ...]
+    """What other versions, or other packages of that name, lack."""
+
+
 SDKS = {
-    "realsense": ("pyrealsense2", ", which on Linux needs libusb (Debian: libusb-1.0-0)"),
-    "orbbec": ("pyorbbecsdk2", ""),
-    "oakd": ("depthai", ""),
-    "azure_kinect": ("pyk4a", ", which needs Microsoft's libk4a1.4-dev and a C++ compiler"),
+    "realsense": Sdk(
+        "pyrealsense2",
+        ", which on Linux needs libusb (Debian: libusb-1.0-0)",
+        "pyrealsense2",
+        ("context", "camera_info", "option", "stream", "format", "playback_status", "timestamp_domain", "distortion"),
+    ),
+    "orbbec": Sdk(
+        "pyorbbecsdk2",
+        "",
+        "pyorbbecsdk",
+        ("OBCameraDistortionModel.BROWN_CONRADY_K6", "OBPlaybackStatus", "PlaybackDevice", "Context.set_logger_to_file"),
+    ),
+    "oakd": Sdk(
+        "depthai",
+        "",
+        "depthai",
+        ("DeviceInfo.getDeviceId", "node.StereoDepth.build", "StereoDepthConfig.MedianFilter", "Clock.now"),
+    ),
+    "azure_kinect": Sdk(
+        "pyk4a",
+        ", which needs Microsoft's libk4a1.4-dev and a C++ compiler",
+        "pyk4a",
+        ("PyK4A", "PyK4APlayback", "K4ATimeoutException", "connected_device_count", "CalibrationType"),
+    ),
 }
-"""The package with the SDK of each adapter, and what else it needs."""
+"""The SDK of each adapter."""
 
 
 def settings(parameters: dict[str, Any], base: str) -> Settings:
@@ -57,9 +113,10 @@ def settings(parameters: dict[str, Any], base: str) -> Settings:
     return Settings(**known)
 
 
-def run(adapter: ModuleType) -> None:
-    """Is the source of the run that this process was started in."""
-    with conicflow.source() as source:
+def run(adapter: ModuleType) -> int:
+    """Is the source of the run that this process was started in; the exit code."""
+    with ExitStack() as place:
+        source = place.enter_context(conicflow.source())
         wanted = settings(source.parameters, source.base)
 
         def connect() -> Camera:
@@ -75,9 +132,12 @@ def run(adapter: ModuleType) -> None:
                 stream.send(frame)
         except Refused as fault:
             log("error", str(fault))
-            sys.exit(REFUSED)
+            # The stream has not come to its end: the place is let go as it is.
+            place.pop_all()
+            return REFUSED
         finally:
             stream.close()
+    return 0
 
 
 def main(arguments: Optional[list[str]] = None) -> int:
@@ -98,9 +158,7 @@ def main(arguments: Optional[list[str]] = None) -> int:
         else:
             print(f"error: {fault}", file=sys.stderr)
         return REFUSED
-    if not options:
-        run(module)
-    return 0
+    return 0 if options else run(module)
 
 
 if __name__ == "__main__":

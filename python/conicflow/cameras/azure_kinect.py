@@ -3,11 +3,26 @@
 Tried with stand-ins for the SDK's classes, not with a camera.
 """
 
+from contextlib import suppress
 from typing import Any, Optional
 
 import pyk4a
 
-from .frame import Camera, DeviceClock, EndOfRecording, Frame, Lens, Refused, Settings, noise_of, not_there
+from .frame import (
+    IN_USE,
+    WRONG_SDK,
+    Camera,
+    DeviceClock,
+    EndOfRecording,
+    Frame,
+    Lens,
+    NotThere,
+    Refused,
+    Settings,
+    noise_of,
+    not_there,
+    text_of,
+)
 
 SCALE = 0.001
 """Depths come in millimetres."""
@@ -36,12 +51,23 @@ def connect(settings: Settings) -> Camera:
     config, there = _config(settings), []
     for index in range(pyk4a.connected_device_count()):
         device = pyk4a.PyK4A(config, device_id=index)
-        device.open()
-        if settings.serial in (None, device.serial):
-            device.start()
-            return AzureKinect(device, settings, f"Azure Kinect (serial number {device.serial})")
-        there.append(device.serial)
-        device.close()
+        name = f"Azure Kinect number {index + 1}"
+        try:
+            device.open()
+            name = f"Azure Kinect (serial number {device.serial})"
+            if settings.serial in (None, device.serial):
+                device.start()
+                return AzureKinect(device, settings, name)
+            there.append(device.serial)
+        except WRONG_SDK:
+            raise
+        except Exception as error:
+            there.append(f"{name}, which cannot be opened: {text_of(error)}; {IN_USE}")
+        # Where it could not be opened there is nothing to let go.
+        with suppress(Exception):
+            device.close()
+    if there and settings.serial is None:
+        raise NotThere("no Azure Kinect can be opened", f"connected: {', '.join(there)}")
     hint = "is it plugged in with its own power supply, and may this user open it (udev rules of k4a)?"
     raise not_there("Azure Kinect", settings.serial, there, hint)
 

@@ -1,7 +1,8 @@
 """What an adapter makes of an image of its SDK: depths, the lens that saw them, scale, noise, time; and how it fails."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Optional, Protocol, Union
 
@@ -33,6 +34,28 @@ class NotThere(Fault):
 
 class EndOfRecording(Exception):
     """There are no more frames."""
+
+
+WRONG_SDK = (AttributeError, ImportError, TypeError)
+"""What calls to an SDK raise that is of another version than the adapter knows."""
+IN_USE = "does another program use it?"
+"""What to ask of a camera that is there and cannot be opened."""
+
+
+def text_of(error: Exception) -> str:
+    """What an exception says, or what it is where it says nothing."""
+    return str(error) or type(error).__name__
+
+
+@contextmanager
+def opening(name: str) -> Iterator[None]:
+    """Says which camera it is that cannot be opened."""
+    try:
+        yield
+    except (Fault, *WRONG_SDK):
+        raise
+    except Exception as error:
+        raise NotThere(f"{name} cannot be opened: {text_of(error)}", IN_USE) from error
 
 
 class Lens(NamedTuple):
@@ -129,12 +152,20 @@ class DeviceClock:
     """Times of a camera's own clock as nanoseconds since the Unix epoch.
 
     The image that came fastest tells how far the clocks are apart; they may part by 1 in 10,000, and by any time at once where
-    the camera's clock begins anew.
+    one of them is set: what all images of some seconds agree on is taken over.
     """
+
+    LATE_NS = 2e7
+    """Images that come later than that tell of a clock that was set, if none comes earlier for `AGREED_NS`."""
+    AGREED_NS = 3_000_000_000
+    AGREED = 20
+    """So many images at least."""
 
     def __init__(self) -> None:
         self._apart: Optional[float] = None
         self._last_ns = 0
+        self._late: list[tuple[int, float]] = []
+        """Of the images since the last that was not late: the camera's time, and how far the clocks seemed to be apart."""
 
     def stamp_ns(self, device_ns: int, now_ns: Optional[int] = None) -> int:
         """The time at which an image was taken that has just come."""
@@ -144,6 +175,13 @@ class DeviceClock:
         else:
             self._apart = min(now_apart, self._apart + 1e-4 * max(device_ns - self._last_ns, 0))
         self._last_ns = device_ns
+        if now_apart - self._apart < self.LATE_NS:
+            self._late = []
+        else:
+            self._late.append((device_ns, now_apart))
+            if len(self._late) >= self.AGREED and device_ns - self._late[0][0] >= self.AGREED_NS:
+                self._apart = min(apart for _, apart in self._late)
+                self._late = []
         return device_ns + round(self._apart)
 
 

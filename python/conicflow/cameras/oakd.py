@@ -9,7 +9,7 @@ from typing import Any, Optional
 
 import depthai as dai
 
-from .frame import Camera, Frame, Lens, Settings, noise_of, not_there, stereo_noise
+from .frame import Camera, Frame, Lens, Refused, Settings, noise_of, not_there, opening, stereo_noise, text_of
 
 SCALE = 0.001
 """Depths come in millimetres."""
@@ -23,31 +23,49 @@ def connect(settings: Settings) -> Camera:
     devices = dai.Device.getAllAvailableDevices()
     for info in devices:
         if settings.serial in (None, info.getDeviceId()):
-            return OakD(info, settings)
+            with opening(_name(info)):
+                return OakD(info, settings)
     hint = "is it plugged in, and may this user open it (udev rules of depthai)?"
     raise not_there("OAK-D", settings.serial, [info.getDeviceId() for info in devices], hint)
+
+
+def _name(info: Any) -> str:
+    return f"OAK-D (serial number {info.getDeviceId()})"
 
 
 class OakD:
     """The stereo depth of a device."""
 
     def __init__(self, info: Any, settings: Settings) -> None:
-        self.name = f"OAK-D (serial number {info.getDeviceId()})"
+        self.name = _name(info)
         self._device = dai.Device(info)
         try:
-            self._pipeline = dai.Pipeline(self._device)
-            size = (settings.width or DEFAULT_SIZE[0], settings.height or DEFAULT_SIZE[1])
-            preset = dai.node.StereoDepth.PresetMode.DEFAULT
-            stereo = self._pipeline.create(dai.node.StereoDepth)
+            self._pipeline, self._settings = dai.Pipeline(self._device), settings
+            self._pair = self._stereo_pair()
+            self._baseline_m = self._baseline()
+            self._start()
+        except Exception:
+            self._device.close()
+            raise
+
+    def _start(self) -> None:
+        settings = self._settings
+        size = (settings.width or DEFAULT_SIZE[0], settings.height or DEFAULT_SIZE[1])
+        preset = dai.node.StereoDepth.PresetMode.DEFAULT
+        stereo = self._pipeline.create(dai.node.StereoDepth)
+        try:
             stereo.build(True, presetMode=preset, size=size, fps=settings.fps)
             stereo.setRectification(True)
             # Steps of a whole pixel would drown the noise.
             stereo.setSubpixel(True)
+            _leave_unsmoothed(stereo.initialConfig)
             self._queue = stereo.depth.createOutputQueue(maxSize=KEPT, blocking=False)
-            self._settings, self._baseline_m = settings, self._baseline()
             self._pipeline.start()
-        except Exception:
-            self._device.close()
+        except RuntimeError as error:
+            is_asked_for = settings.width is not None or settings.fps is not None
+            if is_asked_for and not _is_of_the_link(error):
+                what = f"{self.name} has no depth images of {settings.profile()}: {text_of(error)}"
+                raise Refused(what, f"it has {self._modes()}") from error
             raise
 
     def read(self, patience_s: float) -> Optional[Frame]:
@@ -73,8 +91,44 @@ class OakD:
         finally:
             self._device.close()
 
+    def _stereo_pair(self) -> tuple[Any, Any]:
+        """The right and the left eye, as they were calibrated."""
+        calibration = self._device.readCalibration()
+        pair = (calibration.getStereoRightCameraId(), calibration.getStereoLeftCameraId())
+        cameras = self._device.getConnectedCameraFeatures()
+        if not {each.socket for each in cameras}.issuperset(pair):
+            there = ", ".join(f"{each.sensorName} on {_socket(each)}" for each in cameras)
+            hint = f"it has {there or 'no cameras'}; name one that has, by `serial`"
+            raise Refused(f"{self.name} has no calibrated pair of cameras for stereo", hint)
+        return pair
+
     def _baseline(self) -> float:
         """Metres between both eyes, as they were calibrated."""
-        calibration = self._device.readCalibration()
-        right, left = calibration.getStereoRightCameraId(), calibration.getStereoLeftCameraId()
-        return float(calibration.getBaselineDistance(right, left, False)) * 1e-2
+        return float(self._device.readCalibration().getBaselineDistance(*self._pair, False)) * 1e-2
+
+    def _modes(self) -> str:
+        """What the left eye can do, in words."""
+        (left,) = (each for each in self._device.getConnectedCameraFeatures() if each.socket == self._pair[1])
+        modes = sorted({(each.width, each.height, each.maxFps) for each in left.configs})
+        told = ", ".join(f"{width}x{height} up to {fps:g} Hz" for width, height, fps in modes)
+        return f"{told or f'{left.width}x{left.height}'} ({left.sensorName})"
+
+
+def _socket(camera: Any) -> str:
+    return str(getattr(camera.socket, "name", camera.socket))
+
+
+def _is_of_the_link(error: Exception) -> bool:
+    """Whether it tells of a cable or a device that is gone, not of what it was asked for."""
+    return "X_LINK" in str(error) or "XLink" in str(error)
+
+
+def _leave_unsmoothed(config: Any) -> None:
+    """Switches off what the preset smooths, fills and shrinks: the noise is that of depths as they were matched."""
+    config.setMedianFilter(dai.StereoDepthConfig.MedianFilter.MEDIAN_OFF)
+    after: Any = config.postProcessing
+    after.decimationFilter.decimationFactor = 1
+    # Not every version of the SDK has all of them.
+    for name in ("temporalFilter", "spatialFilter", "speckleFilter", "holeFilling", "adaptiveMedianFilter"):
+        if hasattr(after, name):
+            getattr(after, name).enable = False

@@ -8,7 +8,7 @@ from typing import Any, Optional
 import numpy as np
 import pyorbbecsdk as ob
 
-from .frame import Camera, EndOfRecording, Frame, Lens, Noise, Refused, Settings, noise_of, not_there, stereo_noise
+from .frame import Camera, EndOfRecording, Frame, Lens, Noise, Refused, Settings, noise_of, not_there, opening, stereo_noise
 
 FORMATS = (ob.OBFormat.Y16, ob.OBFormat.Z16)
 """Depths as whole numbers of 16 bits."""
@@ -33,7 +33,8 @@ def connect(settings: Settings) -> Camera:
     devices = ob.Context().query_devices()
     for index in range(devices.get_count()):
         if settings.serial in (None, devices.get_device_serial_number_by_index(index)):
-            return Orbbec(devices.get_device_by_index(index), settings, _name(devices, index))
+            with opening(_name(devices, index)):
+                return Orbbec(devices.get_device_by_index(index), settings, _name(devices, index))
     there = [_name(devices, index) for index in range(devices.get_count())]
     hint = "is it plugged in, and may this user open it (udev rules of OrbbecSDK)?"
     raise not_there("Orbbec camera", settings.serial, there, hint)
@@ -49,11 +50,10 @@ class Orbbec:
 
     def __init__(self, device: Any, settings: Settings, name: str) -> None:
         self.name = name
-        self._device, self._is_recording = device, bool(settings.path)
+        self._device, self._settings, self._is_recording = device, settings, bool(settings.path)
         self._pipeline = ob.Pipeline(device)
         profile = self._profile(settings)
-        self._lens = _lens(profile, name)
-        self._noise = noise_of(settings, name, self._known_noise())
+        self._see_through(profile)
         if not self._is_recording and device.is_global_timestamp_supported():
             device.enable_global_timestamp(True)
         config = ob.Config()
@@ -69,7 +69,7 @@ class Orbbec:
             return None
         width, height = depth.get_width(), depth.get_height()
         if (width, height) != self._lens[:2]:
-            self._lens = _lens(depth.get_stream_profile().as_video_stream_profile(), self.name)
+            self._see_through(depth.get_stream_profile().as_video_stream_profile())
         pixels = np.frombuffer(np.asarray(depth.get_data()).tobytes(), np.uint16)
         if pixels.size == width * height:
             pixels = pixels.reshape(height, width)
@@ -80,6 +80,11 @@ class Orbbec:
 
     def close(self) -> None:
         self._pipeline.stop()
+
+    def _see_through(self, profile: Any) -> None:
+        """Takes over a lens, and the noise that depends on it."""
+        self._lens = _lens(profile, self.name)
+        self._noise = noise_of(self._settings, self.name, self._known_noise())
 
     def _profile(self, settings: Settings) -> Any:
         """The depth stream that is asked for; of several the camera's default, else the first."""

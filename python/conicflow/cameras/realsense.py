@@ -7,7 +7,20 @@ from typing import Any, Optional, Union
 import numpy as np
 import pyrealsense2 as rs
 
-from .frame import Camera, DeviceClock, EndOfRecording, Frame, Lens, Noise, Refused, Settings, noise_of, not_there, stereo_noise
+from .frame import (
+    Camera,
+    DeviceClock,
+    EndOfRecording,
+    Frame,
+    Lens,
+    Noise,
+    Refused,
+    Settings,
+    noise_of,
+    not_there,
+    opening,
+    stereo_noise,
+)
 
 KEPT = 2
 """Frames that wait at most; of a camera the oldest is dropped, and counted as one that was lost."""
@@ -31,7 +44,10 @@ def connect(settings: Settings) -> Camera:
     if not fitting:
         hint = "is it plugged in, and may this user open it (udev rules of librealsense)?"
         raise not_there("RealSense", settings.serial, [_name(device) for device in devices], hint)
-    return RealSense(fitting[0], settings, None)
+    # One without depths, such as a tracking camera, may be the first.
+    device = next((device for device in fitting if _has_depths(device)), fitting[0])
+    with opening(_name(device)):
+        return RealSense(device, settings, None)
 
 
 class RealSense:
@@ -43,13 +59,15 @@ class RealSense:
         self._frames: queue.Queue[Union[Frame, Exception]] = queue.Queue(KEPT)
         self._closing = threading.Event()
         self._clock = DeviceClock()
-        self._sensor = _depth_sensor(device, self.name)
+        self._sensor: Any = _depth_sensor(device)
+        if self._sensor is None:
+            hint = "name one that has, by `serial`; of a recording, record the depth stream"
+            raise Refused(f"{self.name} has no depth sensor", hint)
         profile = _profile(self._sensor, settings, self.name)
-        self._lens = _lens(profile.as_video_stream_profile().get_intrinsics(), self.name)
         # A recording's sensor tells its options, but not that it is one with depths.
         # It is a number of single precision, meant is the decimal one: a millimetre, not a millimetre and a little.
         self._scale = float(str(np.float32(self._sensor.get_option(rs.option.depth_units))))
-        self._noise = noise_of(settings, self.name, self._known_noise())
+        self._see_through(profile.as_video_stream_profile().get_intrinsics())
         self._sensor.open(profile)
         self._sensor.start(self._came)
 
@@ -59,7 +77,7 @@ class RealSense:
         except queue.Empty:
             if self._playback is not None and self._playback.current_status() == rs.playback_status.stopped:
                 raise EndOfRecording from None
-            if self._playback is None and not self._device.is_connected():
+            if self._playback is None and not self._is_connected():
                 raise ConnectionError("it was unplugged") from None
             return None
         if isinstance(frame, Exception):
@@ -89,8 +107,20 @@ class RealSense:
         if self._playback is None and frame.get_frame_timestamp_domain() == rs.timestamp_domain.hardware_clock:
             stamp_ns = self._clock.stamp_ns(stamp_ns)
         intrinsics = frame.get_profile().as_video_stream_profile().get_intrinsics()
-        lens = self._lens if _is_same(intrinsics, self._lens) else _lens(intrinsics, self.name)
-        return Frame(depth, lens, self._scale, self._noise, stamp_ns, frame.get_frame_number())
+        if not _is_same(intrinsics, self._lens):
+            self._see_through(intrinsics)
+        return Frame(depth, self._lens, self._scale, self._noise, stamp_ns, frame.get_frame_number())
+
+    def _see_through(self, intrinsics: Any) -> None:
+        """Takes over a lens, and the noise that depends on it."""
+        self._lens = _lens(intrinsics, self.name)
+        self._noise = noise_of(self._settings, self.name, self._known_noise())
+
+    def _is_connected(self) -> bool:
+        if hasattr(self._device, "is_connected"):
+            return bool(self._device.is_connected())
+        # Older SDKs, the last that know the L515 among them, tell only which devices there are.
+        return self.name in [_name(device) for device in rs.context().query_devices()]
 
     def _keep(self, came: Union[Frame, Exception]) -> None:
         """Puts it where `read` finds it; a recording waits for that, a camera does not."""
@@ -124,11 +154,19 @@ def _name(device: Any) -> str:
     return f"{name} (serial number {serial})"
 
 
-def _depth_sensor(device: Any, name: str) -> Any:
+def _has_depths(device: Any) -> bool:
+    try:
+        return _depth_sensor(device) is not None
+    except RuntimeError:
+        # It is busy, or just gone.
+        return False
+
+
+def _depth_sensor(device: Any) -> Optional[Any]:
     for sensor in device.query_sensors():
         if any(profile.stream_type() == rs.stream.depth for profile in sensor.get_stream_profiles()):
             return sensor
-    raise Refused(f"{name} has no depth sensor", "name one that has, by `serial`; of a recording, record the depth stream")
+    return None
 
 
 def _profile(sensor: Any, settings: Settings, name: str) -> Any:

@@ -4,11 +4,12 @@ Nothing here knows an SDK. What goes wrong is told once, until it changes.
 """
 
 import time
+from dataclasses import replace
 from typing import Any, Callable, Optional, Protocol
 
 import numpy as np
 
-from .frame import Camera, EndOfRecording, Frame, Rectifier, Refused, Settings
+from .frame import IN_USE, WRONG_SDK, Camera, EndOfRecording, Fault, Frame, Rectifier, Refused, Settings, text_of
 
 LOOK_S = 0.1
 """So long is waited for a frame before it is looked around; to ask whether the run is to end is also a sign of life."""
@@ -16,6 +17,8 @@ TRY_AGAIN_S = 1.0
 """How often is tried to open a camera that is not there."""
 
 UNREADABLE = "frames unreadable"
+GOES_BACK_NS = 1_000_000_000
+"""Stamps that go back by less are held: the SDK has begun to convert the camera's clock, or the computer's was set."""
 LOST = "frames lost"
 OPENED = "camera opened anew"
 
@@ -44,7 +47,8 @@ class Stream:
         self._rectifier: Optional[Rectifier] = None
         self._last: Optional[Frame] = None
         self._told: Optional[str] = None
-        self._has_opened = False
+        self._has_opened = self._has_seen = False
+        self._stamp_ns = 0
         self._heard = time.monotonic()
         # A recording that is played back by a process that was started anew goes on where it was.
         self._left_out = source.resume_at if settings.path else 0
@@ -62,6 +66,7 @@ class Stream:
             except Refused:
                 raise
             except Exception as error:
+                self._refuse_wrong_sdk(error)
                 self._is_gone(error)
                 continue
             if frame is not None:
@@ -95,7 +100,8 @@ class Stream:
         except Exception as error:
             if isinstance(error, Refused) and not self._has_opened:
                 raise
-            self._say("warn", f"{_text(error)}\n  the stage waits for the camera")
+            self._refuse_wrong_sdk(error)
+            self._say("warn", f"{self._why_not(error)}\n  the stage waits for the camera")
             self._wait()
             return False
         if self._has_opened:
@@ -103,6 +109,18 @@ class Stream:
         self._has_opened = True
         self._heard = time.monotonic()
         return True
+
+    def _refuse_wrong_sdk(self, error: Exception) -> None:
+        """Once a frame has come the SDK is known to be right, and it is the camera that was lost."""
+        if isinstance(error, WRONG_SDK) and not self._has_seen:
+            what = f"the camera's SDK is not one that this node can use: {type(error).__name__}: {error}"
+            raise Refused(what, "install the version that docs/cameras.md names") from error
+
+    def _why_not(self, error: Exception) -> str:
+        if isinstance(error, Fault):
+            return str(error)
+        which = f"the camera with serial number {self._settings.serial}" if self._settings.serial else "the camera"
+        return f"{which} cannot be opened: {text_of(error)}\n  hint: {IN_USE}"
 
     def _wait(self) -> None:
         until = time.monotonic() + TRY_AGAIN_S
@@ -128,11 +146,20 @@ class Stream:
             self._say("warn", f"{camera.name} sends what is no depth image: {fault}")
             return None
         self._compare(camera, frame)
-        self._last = frame
+        self._last, self._has_seen = frame, True
+        if not self._settings.path:
+            frame = replace(frame, stamp_ns=self._rising(frame.stamp_ns))
         if self._rectifier is None:
             return frame
         lens = frame.lens._replace(distortion=())
         return Frame(self._rectifier(frame.depth), lens, frame.scale, frame.noise, frame.stamp_ns)
+
+    def _rising(self, stamp_ns: int) -> int:
+        """The stamp, or the next after the last, where a clock went back a little."""
+        if 0 < self._stamp_ns - stamp_ns < GOES_BACK_NS:
+            stamp_ns = self._stamp_ns + 1
+        self._stamp_ns = stamp_ns
+        return stamp_ns
 
     def _compare(self, camera: Camera, frame: Frame) -> None:
         """Looks what changed since the last frame: the lens, which is told, and numbers that were left out."""
@@ -144,6 +171,9 @@ class Stream:
                 rectified = ", rectified here" if lens.is_distorted else ""
                 self._told = None
                 self._say("info", f"{camera.name}: images of {size}{rectified}")
+            elif last.lens[:2] == lens[:2]:
+                is_now, was = (f"fx {each.fx:.1f} fy {each.fy:.1f} cx {each.cx:.1f} cy {each.cy:.1f}" for each in (lens, last.lens))
+                self._say("warn", f"{camera.name} sees through another lens from now on: {is_now}; before: {was}")
             else:
                 was = f"{last.lens.width}x{last.lens.height}"
                 self._say("warn", f"{camera.name} sends images of {size} from now on; those before were {was}")
@@ -156,8 +186,8 @@ class Stream:
         name = camera.name
         self.close()
         if self._settings.path:
-            raise Refused(f"{name} cannot be read on: {_text(error)}", "is the file whole?") from error
-        self._say("warn", f"{name} is lost: {_text(error)}\n  it is opened anew as soon as it is there")
+            raise Refused(f"{name} cannot be read on: {text_of(error)}", "is the file whole?") from error
+        self._say("warn", f"{name} is lost: {text_of(error)}\n  it is opened anew as soon as it is there")
 
     def _say(self, level: str, text: str) -> None:
         # Numbers change, what is wrong does not.
@@ -165,10 +195,6 @@ class Stream:
         if self._told != key:
             self._told = key
             self._tell(level, text)
-
-
-def _text(error: Exception) -> str:
-    return str(error) or type(error).__name__
 
 
 def _fault(frame: Frame) -> Optional[str]:
