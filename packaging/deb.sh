@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Makes a package for Debian and Ubuntu from the sources here, and prints where it is: packaging/deb.sh [PROFILE]
 #
-# It needs `cargo install cargo-deb` and `cargo install cargo-about --features cli`, a Rust toolchain and a C compiler. PROFILE is that of cargo, `release` unless told otherwise.
+# It needs `cargo install cargo-deb` and `cargo install cargo-about@0.9.3 --features cli`, a Rust toolchain and a C compiler. PROFILE is that of cargo, `release` unless told otherwise.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 profile="${1:-release}"

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Prints the licences of all packages that are in the programs of a workspace, or of several: packaging/licences.sh . python
 #
-# It needs `cargo install cargo-about --features cli`.
+# It needs `cargo install cargo-about@0.9.3 --features cli`.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 for workspace in "$@"; do

@@ -10,6 +10,7 @@ use crate::plan::{Plan, PlannedStage};
 use crate::status::{Durations, Life, Pausing, Status, used};
 use serde::Serialize;
 use std::collections::BTreeMap;
+use std::ffi::OsStr;
 use std::fs;
 use std::time::{Duration, Instant};
 
@@ -168,7 +169,9 @@ pub fn observe() -> Result<Observation, FolderError> {
 /// # Errors
 /// The user's folder cannot be read.
 pub fn records(pipeline: &str) -> Result<RunRecord, FolderError> {
-    Ok(RunRecord::read(&RunFolder::open(pipeline)?).unwrap_or_default())
+    let is_of_it = |folder: &RunFolder| folder.path().file_name() == Some(OsStr::new(pipeline));
+    let folder = RunFolder::all(&user_folder())?.into_iter().find(is_of_it);
+    Ok(folder.as_ref().and_then(RunRecord::read).unwrap_or_default())
 }
 
 /// What the process of a stage takes while it works; a record may outlive its process.

@@ -1,5 +1,5 @@
-//! Whether the sources of a run stand still: a word in the run's folder, which whoever may enter that folder changes and the
-//! sources read before each message.
+//! Pauses the sources of a run: a file in the run's folder says whether they are to stand still. Whoever may enter that folder
+//! can change it, and each source reads it before each message.
 //!
 //! What plays back or simulates can stand still; a camera goes on. Nothing else of a run is paused: what is under way is worked
 //! on.

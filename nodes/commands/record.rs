@@ -1,7 +1,7 @@
 //! `conicflow record`: topics of a running pipeline into a recording, by an onlooker for whom no stage waits.
 
 use super::invocation::say;
-use super::topic::{PipelineName, topics};
+use super::topic::{PipelineName, each_once, topics};
 use crate::NODES;
 use crate::recording::files::is_recording;
 use crate::recording::recorder::{Recorded, Recorder, file_at};
@@ -64,12 +64,11 @@ pub fn record(arguments: &RecordArguments) -> Result<()> {
         bail!(Hinted::new(what, "record into another file, or remove it"));
     }
     let running = arguments.of.find()?;
-    let mut recorded = match &arguments.topics[..] {
+    let recorded = match &arguments.topics[..] {
         // What nothing is told of can only be recorded where it is asked for, and then that is said.
         [] => topics(&running).into_iter().filter(|topic| topic.item.is_some()).collect(),
-        named => named.iter().map(|name| running.expect_topic(name)).collect::<Result<Vec<_>, _>>()?,
+        named => each_once(named.iter().map(|name| running.expect_topic(name)).collect::<Result<Vec<_>, _>>()?),
     };
-    recorded.dedup_by(|a, b| a.name == b.name);
     let needs = Requirements::of(&running.plan, NODES);
     recorded.iter().try_for_each(|topic| needs.look_for_onlooker(topic))?;
     let watched = recorded.iter().map(|topic| Ok((topic.expect_item()?, *topic))).collect::<Result<Vec<_>>>()?;

@@ -10,6 +10,7 @@ use conicflow_dataflow::{
     PipelineActivity, Requirements, RunningPipeline, Table, TopicActivity, WatchError, Watching, monotonic_ns, observe,
 };
 use conicflow_view::give_way;
+use std::collections::HashSet;
 use std::io::{Write, stdout};
 use std::thread::sleep;
 use std::time::Duration;
@@ -80,13 +81,13 @@ impl PipelineName {
 
 /// All topics of a pipeline, each once.
 pub(crate) fn topics(running: &RunningPipeline) -> Vec<&Topic> {
-    let mut topics: Vec<&Topic> = Vec::new();
-    for topic in running.topics() {
-        if topics.iter().all(|known| known.name != topic.name) {
-            topics.push(topic);
-        }
-    }
-    topics
+    each_once(running.topics())
+}
+
+/// Each of these topics once, in the order in which they come first.
+pub(crate) fn each_once<'a>(topics: impl IntoIterator<Item = &'a Topic>) -> Vec<&'a Topic> {
+    let mut names = HashSet::new();
+    topics.into_iter().filter(|topic| names.insert(topic.name.as_str())).collect()
 }
 
 fn list(running: &RunningPipeline) -> anyhow::Result<()> {

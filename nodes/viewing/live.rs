@@ -104,9 +104,6 @@ impl Live {
         let goes_on = || is_watched() && *lock(&self.wanted) == *wanted;
         if let Err(error) = self.watch(running, &view, goes_on) {
             self.display.tell(|about| about.notice = Some(format!("{error:#}; it is tried again")));
-        } else if !running.still_runs() {
-            let notice = format!("the run of `{}` is over; the next one is waited for", running.plan.pipeline);
-            self.display.tell(|about| about.notice = Some(notice));
         }
     }
 

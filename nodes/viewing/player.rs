@@ -6,7 +6,7 @@
 use crate::recording::files::Files;
 use crate::sources::WrittenIn;
 use crate::sources::mcap_source::{Config, Replay, Replayed, has_own};
-use anyhow::{Context as _, Result};
+use anyhow::{Context as _, Error, Result};
 use conicflow_dataflow::{BUILT_IN, ItemType};
 use conicflow_lab::score::pairing::{Difference, pair_up};
 use conicflow_messages::{Header, Hinted, Item, Object, Track};
@@ -42,6 +42,10 @@ pub struct Player {
     /// When the frame that is shown was written.
     at_ns: u64,
     next: Option<Replayed>,
+    /// Whether what comes next could not be read.
+    is_cut_off: bool,
+    /// What is to be said of the recording while it can be read.
+    notice: Option<String>,
     plays: bool,
     speed: f64,
     /// So many steps are still to be made; back, where it is negative.
@@ -139,7 +143,7 @@ impl Player {
         let names: Vec<_> = [Some(path), against].into_iter().flatten().map(name_of).collect();
         display.tell(|about| {
             about.title = names.join(" | ");
-            about.notice = notice;
+            about.notice.clone_from(&notice);
             about.variants = if against.is_some() { names } else { Vec::new() };
         });
         let mut player = Self {
@@ -151,12 +155,14 @@ impl Player {
             end_ns,
             at_ns: begin_ns,
             next: None,
+            is_cut_off: false,
+            notice,
             plays: true,
             speed: 1.0,
             steps: 0,
             anchor: None,
         };
-        player.next = player.frames.next_message()?;
+        player.read_next()?;
         player.advance()?;
         Ok(player)
     }
@@ -165,12 +171,17 @@ impl Player {
     pub fn play(&mut self, told: &AtomicBool) {
         while !told.load(Ordering::Relaxed) {
             if let Err(error) = self.play_on() {
-                tracing::warn!("{error:#}");
-                self.display.tell(|about| about.notice = Some(format!("{error:#}")));
-                self.plays = false;
-                self.tell();
+                self.stop_at(&error);
             }
         }
+    }
+
+    /// Pauses where the recording cannot be read, which is told until it can be.
+    fn stop_at(&mut self, error: &Error) {
+        tracing::warn!("{error:#}");
+        self.display.tell(|about| about.notice = Some(format!("{error:#}")));
+        self.plays = false;
+        self.tell();
     }
 
     /// Does what comes next: what somebody wants, or a step, or the next frame, or a while of nothing.
@@ -210,7 +221,7 @@ impl Player {
         let steps = std::mem::take(&mut self.steps);
         match command {
             Command::Play => {
-                if self.next.is_none() {
+                if self.next.is_none() && !self.is_cut_off {
                     self.go_to(self.begin_ns)?;
                 }
                 self.plays = true;
@@ -232,16 +243,27 @@ impl Player {
         Ok(())
     }
 
-    /// Shows the next frame; false where there is none.
+    /// Shows the next frame; false where there is none. One that could not be read is looked for once more.
     fn advance(&mut self) -> Result<bool> {
+        if self.is_cut_off {
+            self.seek(self.at_ns.saturating_add(1))?;
+        }
         let Some(frame) = self.next.take() else { return Ok(false) };
-        self.next = self.frames.next_message()?;
-        self.show(frame)?;
-        Ok(true)
+        // It is shown also where the one behind it cannot be read, which is read also where this one cannot be shown.
+        let shown = self.show(frame);
+        self.read_next()?;
+        shown.map(|()| true)
     }
 
-    /// Makes a step of those that are wished, which end where the recording does: whoever wishes something else waits for one
-    /// alone.
+    fn read_next(&mut self) -> Result<()> {
+        (self.next, self.is_cut_off) = (None, true);
+        self.next = self.frames.next_message()?;
+        self.is_cut_off = false;
+        Ok(())
+    }
+
+    /// Makes one of the steps that are still to be made, so that another command waits for one at most. They stop at the ends of
+    /// the recording.
     fn step(&mut self) -> Result<()> {
         let left = std::mem::take(&mut self.steps);
         let is_there = if left > 0 { self.advance()? } else { self.go_back()? };
@@ -271,7 +293,7 @@ impl Player {
             let mut before = None;
             while self.next.as_ref().is_some_and(|next| next.written_ns < at_ns) {
                 before = self.next.take();
-                self.next = self.frames.next_message()?;
+                self.read_next()?;
             }
             if let Some(before) = before {
                 self.show(before)?;
@@ -288,8 +310,7 @@ impl Player {
     fn seek(&mut self, from_ns: u64) -> Result<()> {
         self.frames.seek(from_ns);
         self.lists.iter_mut().chain(&mut self.other).for_each(|lists| lists.seek(from_ns));
-        self.next = self.frames.next_message()?;
-        Ok(())
+        self.read_next()
     }
 
     fn show(&mut self, shown: Replayed) -> Result<()> {
@@ -314,6 +335,7 @@ impl Player {
         }
         // Where it is goes with the frame.
         self.tell();
+        self.display.tell(|about| about.notice.clone_from(&self.notice));
         self.display.show(frame);
         Ok(())
     }
@@ -330,7 +352,7 @@ fn name_of(path: &Path) -> String {
     path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
 }
 
-fn no_lists(path: &Path) -> anyhow::Error {
+fn no_lists(path: &Path) -> Error {
     let what = format!("`{}` has neither objects nor tracks to compare with", path.display());
     Hinted::new(what, "`conicflow compare --record FOLDER` writes two recordings that can be compared").into()
 }
@@ -357,15 +379,15 @@ mod tests {
     use crate::recording::recorder::{Limits, Recorder};
     use conicflow_dataflow::AnyMessage;
     use conicflow_messages::Camera;
+    use std::fs;
+    use std::ops::Range;
 
     const SPACING_NS: u64 = 30_000_000;
 
-    #[test]
-    fn steps_end_where_the_recording_begins_and_ends() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("run.mcap");
-        let recorder = Recorder::create(&path, Limits::default(), false).unwrap();
-        for sequence in 0..9 {
+    /// A recording of these frames, without depth images.
+    fn record(path: &Path, sequences: Range<u64>) {
+        let recorder = Recorder::create(path, Limits::default(), false).unwrap();
+        for sequence in sequences {
             let camera = Camera { width: 4, height: 3, fx: 50.0, fy: 50.0, cx: 1.5, cy: 1.0 };
             let stamp_ns = sequence * SPACING_NS;
             let header = Header { epoch: 1, sequence, stamp_ns, depth_scale: 0.001, camera, ..Header::default() };
@@ -373,6 +395,13 @@ mod tests {
             recorder.write("objects", &objects, None).unwrap();
         }
         recorder.finish().unwrap();
+    }
+
+    #[test]
+    fn steps_end_where_the_recording_begins_and_ends() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("run.mcap");
+        record(&path, 0..9);
         let mut player = Player::open(&path, None, None, Arc::default()).unwrap();
         // At its beginning no step back is lost: the next one on shows the second frame.
         for (by, frame) in
@@ -384,5 +413,36 @@ mod tests {
             }
             assert_eq!(player.at_ns - player.begin_ns, frame * SPACING_NS, "{by}");
         }
+    }
+
+    #[test]
+    fn what_comes_before_a_place_that_cannot_be_read_is_shown_and_what_comes_behind_it_once_that_can_be_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let (recording, away) = (folder.path().join("run"), folder.path().join("away.mcap"));
+        let [first, second] = ["1.mcap", "2.mcap"].map(|name| recording.join(name));
+        fs::create_dir(&recording).unwrap();
+        record(&first, 0..3);
+        record(&second, 3..6);
+        let mut player = Player::open(&recording, None, None, Arc::default()).unwrap();
+        let (notice, display) = (player.notice.clone(), Arc::clone(&player.display));
+        let noticed = || {
+            let mut noticed = None;
+            display.tell(|about| noticed.clone_from(&about.notice));
+            noticed
+        };
+        fs::rename(&second, &away).unwrap();
+        assert!(player.advance().unwrap());
+        // Again and again, and not from the beginning.
+        for _ in 0..3 {
+            player.obey(&Command::Play).unwrap();
+            let error = player.advance().unwrap_err();
+            player.stop_at(&error);
+            assert_eq!(player.at_ns - player.begin_ns, 2 * SPACING_NS);
+            assert!(noticed().unwrap().contains("is not there any more") && !player.plays);
+        }
+        fs::rename(&away, &second).unwrap();
+        player.obey(&Command::Play).unwrap();
+        assert!(player.advance().unwrap());
+        assert_eq!((player.at_ns - player.begin_ns, noticed()), (3 * SPACING_NS, notice));
     }
 }

@@ -167,7 +167,7 @@ fn an_onlooker_s_recording_ends_where_it_is_as_large_as_it_may_be() {
 fn an_onlooker_records_a_running_pipeline_until_it_ends() {
     // Who only looks on gets what it has time for, on a busy machine too.
     let (playground, mut run) = at_work(TRACKING, 25);
-    let mut recorder = playground.start(&["record", "depth", "objects", "-o", "part.mcap"]);
+    let mut recorder = playground.start(&["record", "depth", "objects", "depth", "-o", "part.mcap"]);
     recorder.wait_for_text("records `depth`, `objects` into `part.mcap`");
     let there = playground.conicflow(&["record", "-o", "part.mcap"]).expect_code(2);
     there.expect_told(&["`part.mcap` is there already\n  hint: "]);

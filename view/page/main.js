@@ -34,6 +34,8 @@ let about = { run: null, notice: null };
 let variants = [];
 /** Whether what is shown is left from a run that is over. */
 let isOld = false;
+/** Whether the last answer could be shown: else the notice says why not. */
+let isAnswered = true;
 /** When the last frames were shown, and which start of each camera they are of. */
 let shown = [];
 const epochs = new Map();
@@ -208,13 +210,12 @@ function tell(state, text) {
         by("notice").textContent = text;
         shown = [];
         writeRate();
-        told = false;
-    } else if (!told) {
-        told = true;
+        isAnswered = false;
+    } else if (!isAnswered) {
+        isAnswered = true;
         showNotice();
     }
 }
-let told = true;
 
 function listen() {
     const redraw = () => {

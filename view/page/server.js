@@ -37,45 +37,53 @@ function read(buffer) {
  * milliseconds there are between two questions at least.
  */
 export async function follow({ wanted, show, tell, rest }) {
-    let [frames, told] = [0, 0];
+    // The numbers of the last frame, and of what was told last around the frames.
+    let seen = { frames: 0, told: 0 };
     for (;;) {
         await visible();
+        let answer;
         try {
-            const query = new URLSearchParams({ browser, frames, told, columns: wanted() });
+            const query = new URLSearchParams({ browser, ...seen, columns: wanted() });
             const response = await fetch(`look?${query}`);
             if (!response.ok) {
                 tell("bad", (await response.text()).trim());
                 await sleep(AGAIN_MS);
                 continue;
             }
-            const answer = read(await response.arrayBuffer());
-            [frames, told] = [answer.frames, answer.told];
-            tell("good", "");
-            await new Promise(requestAnimationFrame);
-            const begin = performance.now();
-            show(answer);
-            // The next one comes when this one is drawn. Who takes long for it rests as long: it may be on the robot.
-            await new Promise(requestAnimationFrame);
-            const took = performance.now() - begin;
-            await sleep(Math.max(took > SLOW_MS ? took : 0, rest() - took));
-        } catch (error) {
-            if (!(error instanceof TypeError)) {
-                throw error;
-            }
-            [frames, told] = [0, 0];
+            answer = read(await response.arrayBuffer());
+        } catch {
+            // Nobody is there, or the answer was cut.
+            seen = { frames: 0, told: 0 };
             tell("bad", "conicflow view does not answer: has it ended? It is asked again.");
             await sleep(AGAIN_MS);
+            continue;
         }
+        seen = { frames: answer.frames, told: answer.told };
+        await new Promise(requestAnimationFrame);
+        const begin = performance.now();
+        try {
+            show(answer);
+            tell("good", "");
+        } catch (error) {
+            // The next one may be drawn.
+            reportError(error);
+            tell("bad", `This page cannot draw what it got; it may help to load it anew (${error.message}).`);
+        }
+        // The next one comes when this one is drawn. Who takes long for it rests as long: it may be on the robot.
+        await new Promise(requestAnimationFrame);
+        const took = performance.now() - begin;
+        await sleep(Math.max(took > SLOW_MS ? took : 0, rest() - took));
     }
 }
 
-let told = Promise.resolve();
+/** Comes when all wishes before are sent. */
+let sent = Promise.resolve();
 
 /** Tells a wish, such as { do: "pause" }, when those before it are told: sent at once, they might come in another order. */
 export function wish(command) {
     const body = JSON.stringify(command);
-    const tell = () => fetch("command", { method: "POST", headers: { "Content-Type": "application/json" }, body });
-    told = told.then(tell).catch(() => {
+    const send = () => fetch("command", { method: "POST", headers: { "Content-Type": "application/json" }, body });
+    sent = sent.then(send).catch(() => {
         // Whether the server is there is told by the asking.
     });
 }

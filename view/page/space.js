@@ -53,6 +53,8 @@ export class SpaceView {
     /** What is no longer drawn, and not given back yet. */
     #old = [];
     #grid = new GridHelper(12, 24, 0x33405a, 0x1d2533);
+    /** In whose coordinates the grid was laid. */
+    #laid;
     #eye = new PerspectiveCamera(50, 4 / 3, 0.02, 200);
     #controls;
     #frame;
@@ -113,7 +115,7 @@ export class SpaceView {
         if (!this.#frame) {
             return;
         }
-        const { items, camera, pose } = this.#frame;
+        const { origin, items, camera, pose, pixels } = this.#frame;
         const isWorld = this.coordinates === "world" && pose;
         this.#seen.matrix.copy(FROM_CAMERA);
         if (isWorld) {
@@ -121,13 +123,16 @@ export class SpaceView {
             this.#upright = uprightFrom(pose);
             this.#seen.matrix.copy(this.#upright).multiply(new Matrix4().set(...flat, 0, 0, 0, 1));
         }
+        if (pixels) {
+            this.#layFloor(this.#frame, isWorld ? "world" : "camera");
+        }
         const old = [...this.#parts.children, ...this.#seen.children].filter((part) => part !== this.#cloud);
         old.forEach((part) => part.removeFromParent());
         this.#old.push(...old);
         items.forEach((item) => this.#seen.add(shape(item, this.halo, item.id !== undefined && item.id === this.chosen)));
         this.#seen.add(frustum(camera, 0.22));
         for (const item of items) {
-            const points = this.#trails.of(item.id, isWorld ? "world" : "camera");
+            const points = this.#trails.of(origin, item.id, isWorld ? "world" : "camera");
             if (points.length > 1) {
                 const drawn = trail(points, item);
                 drawn.applyMatrix4(isWorld ? this.#upright : FROM_CAMERA);
@@ -194,11 +199,10 @@ export class SpaceView {
         uniforms.scale.value = image.scale;
         uniforms.lens.value = [camera.fx, camera.fy, camera.cx, camera.cy];
         [uniforms.near.value, uniforms.far.value] = [near, far];
-        this.#layFloor(pixels, image, camera);
     }
 
-    /** Lays the grid where the lowest of the points are, in the drawing's height. */
-    #layFloor(pixels, { columns, step, scale }, camera) {
+    /** Lays the grid where the lowest of the points are, in the drawing's height; smoothly within the same coordinates. */
+    #layFloor({ pixels, image: { columns, step, scale }, camera }, coordinates) {
         const heights = [];
         const e = this.#seen.matrix.elements;
         [this.#grid.position.x, this.#grid.position.z] = [e[12], e[14]];
@@ -213,8 +217,9 @@ export class SpaceView {
         if (heights.length > 0) {
             heights.sort((a, b) => a - b);
             const floor = heights[Math.floor(heights.length * 0.01)];
-            const isFar = Math.abs(floor - this.#grid.position.y) > 0.3;
+            const isFar = this.#laid !== coordinates || Math.abs(floor - this.#grid.position.y) > 0.3;
             this.#grid.position.y += (floor - this.#grid.position.y) * (isFar ? 1 : 0.05);
+            this.#laid = coordinates;
         }
     }
 

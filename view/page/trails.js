@@ -8,35 +8,34 @@ const MOST_POINTS = 240;
 export const toWorld = (pose, [x, y, z]) => pose.map(([a, b, c, t]) => a * x + b * y + c * z + t);
 
 export class Trails {
-    #trails = new Map();
-    #epoch;
-    #stamp = 0;
+    /** Of each camera, whose frames may come in turn with others: its trails, and the start and stamp of its last frame. */
+    #cameras = new Map();
 
     /** Takes a frame; what comes from another run, or from before, begins anew. */
-    follow({ epoch, stamp_s: stamp, pose, items }) {
-        if (epoch !== this.#epoch || stamp < this.#stamp || stamp > this.#stamp + LENGTH_S) {
-            this.#trails.clear();
-        }
-        [this.#epoch, this.#stamp] = [epoch, stamp];
+    follow({ origin, epoch, stamp_s: stamp, pose, items }) {
+        const last = this.#cameras.get(origin);
+        const goesOn = last && epoch === last.epoch && stamp >= last.stamp && stamp <= last.stamp + LENGTH_S;
+        const trails = goesOn ? last.trails : new Map();
+        this.#cameras.set(origin, { epoch, stamp, trails });
         for (const item of items.filter(({ id }) => id !== undefined)) {
-            if (!this.#trails.has(item.id)) {
-                this.#trails.set(item.id, []);
+            if (!trails.has(item.id)) {
+                trails.set(item.id, []);
             }
             const world = pose ? toWorld(pose, item.center) : null;
-            this.#trails.get(item.id).push({ stamp, camera: item.center, world });
+            trails.get(item.id).push({ stamp, camera: item.center, world });
         }
-        for (const [id, trail] of this.#trails) {
+        for (const [id, trail] of trails) {
             while (trail.length > MOST_POINTS || (trail.length > 0 && trail[0].stamp < stamp - LENGTH_S)) {
                 trail.shift();
             }
             if (trail.length === 0) {
-                this.#trails.delete(id);
+                trails.delete(id);
             }
         }
     }
 
-    /** The points of a track, the oldest first; `frame` is "camera" or "world". */
-    of(id, frame) {
-        return (this.#trails.get(id) ?? []).map((point) => point[frame]).filter((point) => point);
+    /** The points of a track in the frames of a camera, the oldest first; `frame` is "camera" or "world". */
+    of(origin, id, frame) {
+        return (this.#cameras.get(origin)?.trails.get(id) ?? []).map((point) => point[frame]).filter((point) => point);
     }
 }

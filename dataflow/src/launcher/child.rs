@@ -76,9 +76,10 @@ pub(crate) struct Supervised {
     state: State,
     watchdog: Watchdog,
     deaths: VecDeque<Instant>,
-    /// The program that was named for not having joined the run.
+    /// The process of which was said already that it has not joined the run.
     outsider: Option<u32>,
-    /// Whether it was named for being waited for although nothing can come to it.
+    /// Whether was said already that the run waits for this stage, which has not joined it, although all that write for it have
+    /// ended.
     is_last: bool,
     started: Instant,
     /// Whether it was started when the sources had been told to stop, and is still to be told, too.

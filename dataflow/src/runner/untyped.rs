@@ -15,7 +15,8 @@ pub(crate) type NewStage<'a> = New<'a, dyn AnyStage + 'a>;
 /// A source that is still to be made ready.
 pub(crate) type NewSource<'a> = New<'a, dyn AnySource + 'a>;
 
-/// What something is joined to others by, and how it is made.
+/// A stage or source that is still to be made ready: its inputs and its output, by which it is joined to others, and how it is
+/// made.
 pub(crate) struct New<'a, S: ?Sized> {
     pub(crate) side_inputs: &'static [SideInput],
     /// What drives it; [`Nothing`] of a source.
