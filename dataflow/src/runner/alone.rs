@@ -71,10 +71,9 @@ pub fn pass<S: Stage>(
     context: Context,
     messages: &[Owned<S::Input>],
 ) -> Result<Vec<Owned<S::Output>>, RunError> {
-    let is_newer = |[(before, _), (after, _)]: &[Owned<S::Input>; 2]| {
-        before.epoch != after.epoch || before.sequence < after.sequence
-    };
-    if !messages.array_windows().all(is_newer) {
+    let headers = messages.iter().map(|(header, _)| header);
+    let mut pairs = headers.clone().zip(headers.skip(1));
+    if pairs.any(|(before, after)| before.epoch == after.epoch && before.sequence >= after.sequence) {
         return Err(RunError::Refused("each message needs a larger `sequence` than the one before".into()));
     }
     messages.iter().try_for_each(|(header, items)| check(header, items)).map_err(RunError::Refused)?;
