@@ -51,7 +51,7 @@ impl PyTracker {
                 None => Ok(tracker.update(&objects, stamp_ns).to_vec()),
             }
         });
-        record::list_of(py, &tracks.map_err(|error| fault::value(&error.to_string(), ""))?)
+        record::list_of(py, &tracks.map_err(|error| fault::value(error.to_string(), ""))?)
     }
 }
 
