@@ -267,7 +267,7 @@ pub(super) mod tests {
     pub fn expected(body: Object) -> TrueObject {
         let shapes = only(body.shape());
         let tolerance = Tolerance { shapes, position_m: 0.05, radius_m: [0.08, 0.12], axis: 0.35, half_angle: 0.14 };
-        TrueObject { name: "thing".into(), body, hidden: 0.0, required: true, tolerance }
+        TrueObject { name: "thing".into(), body, hidden: 0.0, required: true, measured: true, tolerance }
     }
 
     pub fn sphere(x: f64) -> Object {
