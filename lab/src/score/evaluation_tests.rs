@@ -242,7 +242,9 @@ fn frames_of_the_truth_file_that_do_not_come_are_counted() {
     };
     evaluation.add(&header("clouds/a.pcd"), &[]).unwrap();
     assert_eq!(absent(&evaluation).as_deref(), Some("2 frames of the truth file did not come"));
-    ["b.pcd", "c.pcd"].map(|name| evaluation.add(&header(name), &[]).unwrap());
+    for name in ["b.pcd", "c.pcd"] {
+        evaluation.add(&header(name), &[]).unwrap();
+    }
     assert_eq!(absent(&evaluation), None);
 }
 

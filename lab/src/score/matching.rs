@@ -375,7 +375,11 @@ pub(super) mod tests {
             (3.0, 0.2, Some(Fault::NothingThere)),
             (-3.0, 0.2, Some(Fault::NothingThere)),
         ] {
-            assert_eq!(fault(&self::expected(can(0.0, 0.2)), &can(along, length)), expected, "{along} m, {length} m long");
+            assert_eq!(
+                fault(&self::expected(can(0.0, 0.2)), &can(along, length)),
+                expected,
+                "{along} m, {length} m long"
+            );
         }
     }
 

@@ -221,7 +221,7 @@ mod tests {
         assert_eq!(line(&report, "cone from 2.00 m")[4..7], ["0", "0", "1"]);
         assert_eq!(line(&report, "10 to 30 %")[4..7], ["4", "3", "0.750"]);
         assert_eq!(line(&report, "nothing there"), ["nothing", "there", "0", "0", "1"]);
-        assert!(report.contains("2.16 (2.00)"), "root of (1 + 4 + 9) / 3\n{report}");
+        assert!(report.contains("2.16 (2.36)"), "root of (1 + 4 + 9) / 3\n{report}");
         let counted = "3 frames, 4 objects to be found: 3 found, 1 wrong answers, 0 right ones about others\n";
         assert!(report.starts_with(counted), "{report}");
     }

@@ -39,14 +39,7 @@ const QUANTITIES: [Quantity; 5] = [
         has: |_| true,
         is_signed: false,
     },
-    Quantity {
-        name: "radius",
-        unit: "mm",
-        key: "radius_mm",
-        of: |d| 1e3 * d.radius_m,
-        has: |_| true,
-        is_signed: true,
-    },
+    Quantity { name: "radius", unit: "mm", key: "radius_mm", of: |d| 1e3 * d.radius_m, has: |_| true, is_signed: true },
     Quantity {
         name: "axis",
         unit: "deg",
@@ -235,7 +228,8 @@ mod tests {
 
     #[test]
     fn what_has_a_sign_is_told_with_it_though_all_differences_are_positive() {
-        let difference = Difference { position_m: 0.002, radius_m: 0.001, axis: 0.1, half_angle: 0.1, radius_sigma: 1.5 };
+        let difference =
+            Difference { position_m: 0.002, radius_m: 0.001, axis: 0.1, half_angle: 0.1, radius_sigma: 1.5 };
         let tally = Tally { differences: vec![(ObjectKind::Cone, difference)], ..Tally::default() };
         let table = Variants { topic: "objects", sets: [&[], &[]], tally: &tally }.differences().to_string();
         let signed = |name: &str| table.lines().find(|line| line.starts_with(name)).unwrap().split_whitespace().nth(2);
