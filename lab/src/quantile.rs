@@ -1,4 +1,4 @@
-//! Quantiles of numbers: the one place that says which of the values that is.
+//! Quantiles of numbers: the one place that says where among the values that is.
 
 use std::cmp::Ordering;
 
@@ -10,14 +10,17 @@ pub fn at_rank<T: Copy>(values: &mut [T], rank: usize, compare: impl FnMut(&T, &
     Some(*values.select_nth_unstable_by(rank, compare).1)
 }
 
-/// The value below which a share (0 to 1) of the values lies: the one at the nearest rank, of two the larger one. `None` of
-/// no values; their order changes.
+/// The value below which a share (0 to 1) of the values lies: between two values it goes from one to the other along a line.
+/// `None` of no values; their order changes.
 pub fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
-    let rank = (values.len().saturating_sub(1) as f64 * share).round() as usize;
-    at_rank(values, rank, f64::total_cmp)
+    let place = values.len().saturating_sub(1) as f64 * share;
+    let lower = at_rank(values, place.floor() as usize, f64::total_cmp)?;
+    let upper = at_rank(values, place.ceil() as usize, f64::total_cmp)?;
+    // infinities have no difference
+    Some(if lower == upper { lower } else { lower + (upper - lower) * place.fract() })
 }
 
-/// The median of numbers.
+/// The median of numbers: of an even number the mean of the two in the middle.
 pub fn median(mut values: Vec<f64>) -> Option<f64> {
     quantile(&mut values, 0.5)
 }
@@ -27,9 +30,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_quantile_is_one_of_the_values() {
+    fn a_quantile_is_one_of_the_values_or_between_two() {
         assert_eq!(median(vec![3.0, 1.0, 2.0]), Some(2.0));
-        assert_eq!(median(vec![3.0, 1.0]), Some(3.0), "of two in the middle the larger one");
+        assert_eq!(median(vec![3.0, 1.0]), Some(2.0));
+        assert_eq!(median(vec![9.0, 1.0, 2.0, 5.0]), Some(3.5));
+        assert_eq!(median(vec![f64::INFINITY; 2]), Some(f64::INFINITY));
+        assert_eq!(quantile(&mut [5.0, 1.0], 0.25), Some(2.0));
         assert_eq!(quantile(&mut [3.0, 1.0], 1.0), Some(3.0));
         assert_eq!(quantile(&mut [5.0, 1.0, 4.0, 2.0, 3.0], 0.25), Some(2.0));
         assert_eq!(median(Vec::new()), None);

@@ -73,7 +73,7 @@ pub struct EvaluationSink<T> {
 impl<T: Claim> Stage for EvaluationSink<T> {
     const NAME: &'static str = "evaluation_sink";
     const SUMMARY: &'static str =
-        "Scores objects or tracks against the truth of rendered or recorded frames, as tables";
+        "Scores objects or confirmed tracks against the truth of rendered or recorded frames, as tables";
     type Config = EvaluationConfig;
     type Input = T;
     type Output = Nothing;

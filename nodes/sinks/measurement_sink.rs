@@ -65,7 +65,7 @@ pub struct MeasurementSink<T> {
 impl<T: Claim> Stage for MeasurementSink<T> {
     const NAME: &'static str = "measurement_sink";
     const SUMMARY: &'static str =
-        "Measures objects or tracks against the rendered truth: mean, standard deviation, identities";
+        "Measures objects or confirmed tracks against the rendered truth: mean, standard deviation, identities";
     type Config = MeasurementConfig;
     type Input = T;
     type Output = Nothing;

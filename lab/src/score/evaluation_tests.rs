@@ -234,6 +234,21 @@ fn a_truth_file_of_other_frames_is_told() {
 }
 
 #[test]
+fn frames_of_the_truth_file_that_do_not_come_are_counted() {
+    let mut evaluation = recording_of(&TRUTH.replace(r#""scenes": {"#, r#""scenes": {"b.pcd": [], "c.pcd": [], "#));
+    let absent = |evaluation: &Evaluation| {
+        let report = evaluation.report().unwrap();
+        report.lines().find(|line| line.contains("did not come")).map(str::to_owned)
+    };
+    evaluation.add(&header("clouds/a.pcd"), &[]).unwrap();
+    assert_eq!(absent(&evaluation).as_deref(), Some("2 frames of the truth file did not come"));
+    for name in ["b.pcd", "c.pcd"] {
+        evaluation.add(&header(name), &[]).unwrap();
+    }
+    assert_eq!(absent(&evaluation), None);
+}
+
+#[test]
 fn the_radii_of_an_object_are_summed_up_from_three_frames_on() {
     let mut evaluation = recording_of(TRUTH);
     for (radius, told) in [(0.049, None), (0.050, None), (0.051, Some("tin: radius 50.0 +- 1.0 mm in 3 frames"))] {

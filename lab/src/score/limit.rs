@@ -7,8 +7,9 @@ use super::truth::{RenderedTruth, TrueObject};
 use crate::bound::{Bound, Bounds, Measuring, bounds};
 use crate::running_stats::RunningStats;
 use crate::simulator::raster::Raster;
-use anyhow::Result;
-use conicflow_messages::{Header, Object};
+use crate::simulator::shapes::Shape;
+use anyhow::{Result, bail};
+use conicflow_messages::{Header, Hinted, Object};
 use nalgebra::{Matrix3, Vector3};
 
 /// Fewer answers tell no scatter: that of so many is known to a quarter.
@@ -102,6 +103,8 @@ pub struct Limit {
     matcher: Matcher,
     frames: u64,
     wrong: u64,
+    /// All that stands there, in the camera frame.
+    shapes: Vec<Shape>,
     objects: Vec<Sights>,
 }
 
@@ -124,18 +127,19 @@ impl Limit {
     /// A measurement of a sensor that loses points from an angle (radians) between ray and normal on, and whose silhouettes
     /// scatter by so many pixels; its noise is what the frames tell.
     pub fn new(truth: RenderedTruth, dropout_angle: f64, edge_jitter_px: f64) -> Self {
-        let (matcher, objects) = (Matcher::default(), Vec::new());
-        Self { truth, dropout_angle, edge_jitter_px, matcher, frames: 0, wrong: 0, objects }
+        let (matcher, shapes, objects) = (Matcher::default(), Vec::new(), Vec::new());
+        Self { truth, dropout_angle, edge_jitter_px, matcher, frames: 0, wrong: 0, shapes, objects }
     }
 
     /// Takes in the answers to a frame; how many objects were missed.
     ///
     /// # Errors
-    /// The frame shows a scene that is not known.
+    /// The frame shows a scene that is not known, or another than the first: something moves.
     pub fn add(&mut self, header: &Header, answers: &[Answer]) -> Result<u64> {
         if self.frames == 0 {
             self.look(header)?;
         }
+        self.ensure_still(header)?;
         self.frames += 1;
         let truths = self.objects.iter().map(|sights| sights.truth.clone()).collect();
         let frame = self.matcher.match_up(truths, answers);
@@ -152,7 +156,8 @@ impl Limit {
     fn look(&mut self, header: &Header) -> Result<()> {
         let scene = self.truth.scene_of(header)?;
         let time_s = header.stamp_ns as f64 * 1e-9;
-        let raster = Raster::of(header.camera, &scene.shapes_in_camera(time_s).collect::<Vec<_>>());
+        self.shapes = scene.shapes_in_camera(time_s).collect();
+        let raster = Raster::of(header.camera, &self.shapes);
         let (dropout_angle, edge_jitter_px) = (self.dropout_angle, self.edge_jitter_px);
         let measuring = Measuring { noise: header.noise, dropout_angle, edge_jitter_px };
         for truth in self.truth.objects(header, &scene) {
@@ -160,6 +165,17 @@ impl Limit {
             let owner = owner.and_then(|index| u16::try_from(index).ok());
             let bounds = owner.and_then(|owner| bounds(&raster, owner, &truth.body, &measuring));
             self.objects.push(Sights { truth, bounds, found: 0, sums: Default::default() });
+        }
+        Ok(())
+    }
+
+    fn ensure_still(&self, header: &Header) -> Result<()> {
+        let scene = self.truth.scene_of(header)?;
+        if !scene.shapes_in_camera(header.stamp_ns as f64 * 1e-9).eq(self.shapes.iter().copied()) {
+            bail!(Hinted::lasting(
+                format!("something moves in the scene `{}`", header.source.as_str().unwrap_or_default().escape_debug()),
+                "the scatter is that of one view of one scene: nothing may move there, neither may the camera"
+            ));
         }
         Ok(())
     }
@@ -386,5 +402,19 @@ mod tests {
         let still = bound(BALL, 0).unwrap();
         let moved = bound(&(BALL.to_owned() + moving), 2_000_000_000).unwrap();
         assert!((moved / still - 1.0).abs() < 1e-6, "{moved} {still}");
+    }
+
+    #[test]
+    fn a_scene_in_which_something_moves_is_refused() {
+        let (head, _) = SCENE.split_once("[[cone]]").unwrap();
+        let moving = "motion.linear = { velocity = [0.1, 0, 0] }\n";
+        let (mut limit, header) = limit_of(&[head, BALL, moving].concat());
+        limit.add(&header, &[]).unwrap();
+        let error = limit.add(&Header { stamp_ns: 33_000_000, ..header }, &[]).unwrap_err().to_string();
+        assert!(error.contains("something moves in the scene `mug`\n  hint: "), "{error}");
+        let (mut limit, header) = limit_of(SCENE);
+        for stamp_ns in [0, 33_000_000] {
+            limit.add(&Header { stamp_ns, ..header }, &[]).unwrap();
+        }
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! An answer is right if its shape is the true one (or another that is allowed) and position, radius, axis and half-angle are
 //! within the tolerance: of a sphere the distance of the centres; else the distance of the true middle from the answer's axis,
-//! and the radii there. Pairs are taken one to one. The identity that an object had stays with it where it is still right, as
+//! and the radii there. Along the axis only a part may be seen: there one has to reach to the middle of the other. Pairs are taken one to one. The identity that an object had stays with it where it is still right, as
 //! CLEAR-MOT has it (Bernardin and Stiefelhagen 2008); then objects that have to be found go before those that need not, as a
 //! label before the glass that it sticks to; then the nearest pair goes first.
 
@@ -127,7 +127,7 @@ pub fn fault(truth: &TrueObject, answer: &Object) -> Option<Fault> {
     let wrong_shape = !shapes.contains(&answer.shape());
     // another shape that is allowed has another half-angle
     let same_shape = answer.shape() == truth.body.shape();
-    if wrong_shape || comparison.position_m >= position_m {
+    if wrong_shape || comparison.position_m >= position_m || is_beyond_end(&truth.body, answer) {
         let fault = if wrong_shape { Fault::Shape } else { Fault::Position };
         Some(if is_near(&truth.body, answer) { fault } else { Fault::NothingThere })
     } else if comparison.axis >= axis {
@@ -139,6 +139,15 @@ pub fn fault(truth: &TrueObject, answer: &Object) -> Option<Fault> {
     } else {
         None
     }
+}
+
+/// Whether neither of two bodies reaches to the middle of the other along the true axis. The middle of the part that is seen lies
+/// within the whole; where two cans stand on each other, each only reaches to the end of the other. A sphere has no such place.
+fn is_beyond_end(truth: &Object, answer: &Object) -> bool {
+    let axis = Vector3::from(truth.axis);
+    let along = (Vector3::from(answer.center) - Vector3::from(truth.center)).dot(&axis).abs();
+    let have_axes = truth.shape().has_axis() && answer.shape().has_axis();
+    have_axes && along > 0.5 * truth.length.max(answer.length)
 }
 
 /// Whether the middle of an answer lies within a true object, or next to it.
@@ -258,7 +267,7 @@ pub(super) mod tests {
     pub fn expected(body: Object) -> TrueObject {
         let shapes = only(body.shape());
         let tolerance = Tolerance { shapes, position_m: 0.05, radius_m: [0.08, 0.12], axis: 0.35, half_angle: 0.14 };
-        TrueObject { name: "thing".into(), body, hidden: 0.0, required: true, tolerance }
+        TrueObject { name: "thing".into(), body, hidden: 0.0, required: true, measured: true, tolerance }
     }
 
     pub fn sphere(x: f64) -> Object {
@@ -339,14 +348,48 @@ pub(super) mod tests {
         assert_eq!(fault(&bowl, &Object { kind: ObjectKind::Cylinder.code(), ..cone() }), Some(Fault::Shape));
     }
 
+    fn can(along: f64, length: f64) -> Object {
+        let (kind, center) = (ObjectKind::Cylinder.code(), [0.0, along, 1.0]);
+        Object { kind, half_angle: 0.0, base_radius: 0.0, center, length, ..cone() }
+    }
+
     #[test]
-    fn a_cylinder_has_no_sense_and_its_place_along_the_axis_is_free() {
-        let cylinder = Object { kind: ObjectKind::Cylinder.code(), half_angle: 0.0, base_radius: 0.0, ..cone() };
-        let answer = Object { axis: [0.0, -1.0, 0.0], center: [0.0, 0.3, 1.0], ..cylinder };
-        assert_eq!(fault(&expected(cylinder), &answer), None);
+    fn a_cylinder_has_no_sense_and_any_part_of_it_may_be_seen() {
+        let answer = Object { axis: [0.0, -1.0, 0.0], ..can(0.09, 0.02) };
+        assert_eq!(fault(&expected(can(0.0, 0.2)), &answer), None);
         let mut tapered = expected(cone());
         tapered.tolerance.shapes = &ObjectKind::ALL;
         assert_eq!(fault(&tapered, &answer), None, "nor where a cone may be called one");
+    }
+
+    /// A can of 20 cm, and answers along its axis.
+    #[test]
+    fn what_does_not_reach_along_the_axis_is_another_thing() {
+        for (along, length, expected) in [
+            (0.0, 0.2, None),
+            (-0.09, 0.02, None),
+            (0.19, 0.4, None),
+            (0.11, 0.2, Some(Fault::Position)),
+            (-0.11, 0.02, Some(Fault::Position)),
+            (0.2, 0.2, Some(Fault::NothingThere)),
+            (3.0, 0.2, Some(Fault::NothingThere)),
+            (-3.0, 0.2, Some(Fault::NothingThere)),
+        ] {
+            assert_eq!(
+                fault(&self::expected(can(0.0, 0.2)), &can(along, length)),
+                expected,
+                "{along} m, {length} m long"
+            );
+        }
+    }
+
+    #[test]
+    fn of_two_cans_on_each_other_the_lower_one_answered_twice_is_one() {
+        let truths = vec![expected(can(-0.1, 0.2)), expected(can(0.1, 0.2))];
+        let matched = Matcher::default().match_up(truths, &answers(&[can(0.1, 0.2), can(0.1, 0.2)]));
+        let found: Vec<_> = matched.pairs.iter().map(|(_, answer)| answer.is_some()).collect();
+        let faults: Vec<_> = matched.wrong.iter().map(|(_, fault)| *fault).collect();
+        assert_eq!((found, faults), (vec![false, true], vec![Fault::Second]));
     }
 
     /// Within 5 cm of its side, where it is widest, and of its ends.

@@ -3,7 +3,7 @@
 //! shape, gives a row.
 
 use super::matching::{Answer, Matcher};
-use super::object_stats::{ObjectStats, all};
+use super::object_stats::{ObjectStats, all, tell_faults};
 use super::observation::{Observation, world_from_camera};
 use super::row::Row;
 use super::truth::RenderedTruth;
@@ -53,8 +53,12 @@ impl Measurement {
         self.wrong += frame.wrong.len() as u64;
         let pose = world_from_camera(header);
         let mut observations = Vec::new();
-        for (truth, answer) in frame.pairs.iter().filter(|(truth, _)| truth.required) {
+        for (truth, answer) in &frame.pairs {
             let mut observation = Observation::new(time_s, truth, answer.as_ref(), &pose);
+            if !truth.required {
+                self.objects.get_mut(&truth.name).into_iter().for_each(|object| object.pass(&observation));
+                continue;
+            }
             self.object(&truth.name).add(&mut observation);
             observations.push(observation);
         }
@@ -77,14 +81,16 @@ impl Measurement {
         self.objects.entry(name.to_owned()).or_insert_with(|| ObjectStats::new(name))
     }
 
-    /// One row for each object that was there, in the order of their first frames; of several one more for all. Of
-    /// recorded frames one for each track, or each shape.
+    /// One row for each object that was there, in the order of their first frames; of several one more for all, of one it tells
+    /// what is told of all. Of recorded frames one for each track, or each shape.
     pub fn rows(&self) -> Vec<Row> {
         if let Some(Recording { frames, .. }) = self.recording {
             return self.objects.values().map(|object| object.row_of_recording(frames)).collect();
         }
         let mut rows: Vec<Row> = self.objects.values().map(ObjectStats::row).collect();
-        if rows.len() != 1 {
+        if let [row] = &mut rows[..] {
+            tell_faults(row, self.objects.values(), self.wrong);
+        } else {
             rows.push(all(self.objects.values(), self.wrong));
         }
         rows

@@ -47,7 +47,11 @@ fn truth(scene: Option<SceneTemplate>) -> RenderedTruth {
 }
 
 fn measure(from_s: f64, frames: &[(f64, Vec<Answer>)]) -> Vec<Row> {
-    let mut measurement = Measurement::new(truth(Some(SceneTemplate::new(SCENE.into(), "test".into()))), from_s);
+    measure_scene(SCENE, from_s, frames)
+}
+
+fn measure_scene(scene: &str, from_s: f64, frames: &[(f64, Vec<Answer>)]) -> Vec<Row> {
+    let mut measurement = Measurement::new(truth(Some(SceneTemplate::new(scene.into(), "test".into()))), from_s);
     for (time_s, answers) in frames {
         measurement.add(&header(*time_s), answers).unwrap();
     }
@@ -91,6 +95,26 @@ fn misses_wrong_answers_and_switches_count_against_mota() {
 fn an_object_that_was_never_seen_says_nothing_of_how_far_off_the_others_are() {
     let rows = measure(0.0, &[(0.0, vec![answer(ball(-0.28, 0.1))])]);
     assert!((rows[2].number_of("motp_m").unwrap() - 0.02).abs() < 1e-9, "{:?}", rows[2]);
+}
+
+#[test]
+fn what_is_wrong_is_told_of_one_object_too() {
+    let (alone, _) = SCENE.rsplit_once("[[sphere]]").unwrap();
+    let rows = measure_scene(alone, 0.0, &[(0.0, vec![answer(track(1, -0.3)), answer(track(2, 0.9))])]);
+    let numbers = ["n", "wrong", "mota"].map(|column| rows[0].number_of(column));
+    assert_eq!((rows.len(), numbers), (1, [Some(1.0), Some(1.0), Some(0.0)]));
+}
+
+/// It leaves the image at 5 m/s, and comes back.
+#[test]
+fn a_speed_is_that_since_the_frame_before_though_it_could_not_be_seen_there() {
+    let path = "motion.path = { points = [{ t_s = 0, offset = [0, 0, 0] }, { t_s = 1, offset = [-5, 0, 0] },
+        { t_s = 2, offset = [0, 0, 0] }] }";
+    let scene = SCENE.replace("motion.linear = { velocity = [0.5, 0, 0] }", path);
+    let seen = |time_s: f64, x: f64| (time_s, vec![answer(track(1, x))]);
+    let rows = measure_scene(&scene, 0.0, &[seen(0.0, -0.3), (1.0, Vec::new()), seen(1.95, -0.55)]);
+    assert_eq!(rows[0].number_of("frames"), Some(2.0));
+    assert!((rows[0].number_of("speed_true_mps").unwrap() - 5.0).abs() < 0.01, "{:?}", rows[0]);
 }
 
 #[test]

@@ -1,14 +1,14 @@
 //! What was found in a recording, what was off, and what nobody listed, frame by frame, to be looked at; and the sums.
 
 use super::matching::{Comparison, Fault, MatchedFrame, compare, fault};
-use super::recorded::RecordedTruth;
+use super::recorded::{RecordedTruth, file_name};
 use super::samples::Score;
 use super::summary;
 use super::truth::TrueObject;
 use crate::running_stats::RunningStats;
 use anyhow::{Result, bail};
 use conicflow_messages::{Hinted, Object};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Notes on a recording.
 #[derive(Clone, Debug, Default)]
@@ -16,7 +16,9 @@ pub struct Notes {
     /// Number of frames whose truth is not known, and the name of the first of them.
     unjudged: u64,
     stranger: Option<String>,
-    /// Radii of the right answers, by the object's name.
+    /// The names of the frames that came and are judged.
+    judged: BTreeSet<String>,
+    /// Radii of the right answers, of cones at the true middle, by the object's name.
     radii: BTreeMap<String, RunningStats>,
     text: String,
 }
@@ -31,6 +33,7 @@ impl Notes {
     /// Notes what came of a frame; `not_wanted` tells what an answer sits on that is no right one.
     pub fn add<'a>(&mut self, source: &str, frame: &MatchedFrame, not_wanted: impl Fn(&Object) -> Option<&'a str>) {
         self.text += &format!("{}\n", source.escape_debug());
+        self.judged.insert(file_name(source).to_owned());
         for (truth, answer) in &frame.pairs {
             let name = &truth.name;
             let Some(answer) = answer else {
@@ -42,7 +45,7 @@ impl Notes {
             let word = if truth.required { "found" } else { "unasked" };
             self.text += &format!("  {word:<9} {name}: {}\n", differences(truth, &answer.object));
             if truth.required {
-                self.radii.entry(name.clone()).or_default().add(answer.object.radius);
+                self.radii.entry(name.clone()).or_default().add(compare(&truth.body, &answer.object).radius_m);
             }
         }
         for (object, worst) in &frame.wrong {
@@ -72,6 +75,10 @@ impl Notes {
             ));
         }
         let mut text = format!("\n== by {}\n\n{}", truth.origin(), self.text) + &sums(score, self.unjudged);
+        let absent = truth.judged_frames().filter(|name| !self.judged.contains(*name)).count();
+        if absent > 0 {
+            text += &format!("{absent} frames of the truth file did not come\n");
+        }
         for (name, radii) in self.radii.iter().filter(|(_, radii)| radii.count() > 2) {
             let (mean, sd) = (1e3 * radii.mean(), 1e3 * radii.deviation());
             text += &format!("{name}: radius {mean:.1} +- {sd:.1} mm in {} frames\n", radii.count());
@@ -108,6 +115,8 @@ fn wrong(about: Option<&TrueObject>, answer: &Object, worst: Fault, not_wanted: 
 fn sums(score: &Score, unjudged: u64) -> String {
     let row = summary::row(score);
     let number = |column| row.number_of(column).unwrap_or(0.0);
+    let told = |number: Option<String>| number.unwrap_or_else(|| "-".to_owned());
+    let median = |column| told(row.number_of(column).map(|number| format!("{number:.1}")));
     let faults = score.samples.iter().filter_map(|sample| sample.fault);
     let unlisted = faults.filter(|fault| *fault == Fault::NothingThere).count() as f64;
     let (frames, off) = (number("frames"), number("wrong") - unlisted);
@@ -116,17 +125,17 @@ fn sums(score: &Score, unjudged: u64) -> String {
         "\n{} of {} found ({:.0} %) in {frames} frames; {unjudged} frames not judged\n\
          {off} answers off ({:.2} per frame), {unlisted} about what is not listed ({:.2} per frame), {} about what was not \
          measured\n\
-         medians of those found: |radius| {:.1} mm, radius {:+.1} mm, position {:.1} mm, axis {:.1} deg\n",
+         medians of those found: |radius| {} mm, radius {} mm, position {} mm, axis {} deg\n",
         number("found"),
         number("to_find"),
         100.0 * number("recall"),
         per_frame(off),
         per_frame(unlisted),
         number("neither"),
-        number("radius_error_mm"),
-        number("radius_bias_mm"),
-        number("position_error_mm"),
-        number("axis_error_deg")
+        median("radius_error_mm"),
+        told(row.number_of("radius_bias_mm").map(|bias| format!("{bias:+.1}"))),
+        median("position_error_mm"),
+        median("axis_error_deg")
     )
 }
 
@@ -145,7 +154,7 @@ mod tests {
     fn truth(name: &str, body: Object, required: bool) -> TrueObject {
         let (shapes, radius_m) = (only(body.shape()), [body.radius - 0.005, body.radius + 0.005]);
         let tolerance = Tolerance { shapes, position_m: 0.01, radius_m, axis: 0.1, half_angle: 0.1 };
-        TrueObject { name: name.to_owned(), body, hidden: 0.0, required, tolerance }
+        TrueObject { name: name.to_owned(), body, hidden: 0.0, required, measured: true, tolerance }
     }
 
     /// An answer 3 mm beside that object, whose axis leans by two degrees.
@@ -202,5 +211,17 @@ mod tests {
         assert!(told.contains("0 of 4 found (0 %) in 4 frames; 3 frames not judged\n"), "{told}");
         let counted = "\n1 answers off (0.25 per frame), 2 about what is not listed (0.50 per frame), 0 about";
         assert!(told.contains(counted), "{told}");
+        let medians = "\nmedians of those found: |radius| - mm, radius - mm, position - mm, axis - deg\n";
+        assert!(told.contains(medians), "{told}");
+    }
+
+    /// Seen 2 cm lower, where it is 2 mm wider.
+    #[test]
+    fn the_radius_of_a_cone_is_that_at_its_true_middle() {
+        let cone = Object { kind: ObjectKind::Cone.code(), half_angle: 0.1_f64.atan(), ..tin(0.05) };
+        let lower = Object { center: [0.0, 0.02, 1.0], radius: 0.052, ..cone };
+        let mut notes = Notes::default();
+        notes.add("a.png", &frame(&[(truth("cone", cone, true), Some(lower))], &[]), |_| None);
+        assert!((notes.radii["cone"].mean() - 0.05).abs() < 1e-12);
     }
 }

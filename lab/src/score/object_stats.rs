@@ -1,7 +1,7 @@
 //! What the frames say of one object, summed up.
 
 use super::matching::perpendicular;
-use super::observation::Observation;
+use super::observation::{Observation, State};
 use super::row::Statistic::{Deviation, Mean, MeanDegrees, RootMean, RootMeanDegrees};
 use super::row::{Column, Row, Sums};
 use crate::running_stats::RunningStats;
@@ -20,20 +20,25 @@ fn axis_error(observation: &Observation) -> Option<f64> {
     if sine == 0.0 { Some(0.0) } else { Some(sine.atan2(cosine)) }
 }
 
+/// The truth of what was seen: means of both are over the same frames.
+fn truth_of_seen(observation: &Observation) -> Option<State> {
+    observation.seen.and(observation.truth)
+}
+
 fn squared(number: Option<f64>) -> Option<f64> {
     number.map(|number| number * number)
 }
 
 const FIGURES: &[Column<Observation>] = &[
-    Column("distance_true_m", Mean, |it| Some(it.truth?.distance_m)),
+    Column("distance_true_m", Mean, |it| Some(truth_of_seen(it)?.distance_m)),
     Column("distance_m", Mean, |it| Some(it.seen?.state.distance_m)),
     Column("distance_sd_m", Deviation, |it| Some(it.seen?.state.distance_m)),
-    Column("radius_true_m", Mean, |it| Some(it.truth?.radius_m)),
+    Column("radius_true_m", Mean, |it| Some(truth_of_seen(it)?.radius_m)),
     Column("radius_m", Mean, |it| Some(it.seen?.state.radius_m)),
     Column("radius_sd_m", Deviation, |it| Some(it.seen?.state.radius_m)),
-    Column("half_angle_true_deg", MeanDegrees, |it| Some(it.truth?.half_angle)),
+    Column("half_angle_true_deg", MeanDegrees, |it| Some(truth_of_seen(it)?.half_angle)),
     Column("half_angle_deg", MeanDegrees, |it| Some(it.seen?.state.half_angle)),
-    Column("speed_true_mps", Mean, |it| it.true_speed_mps),
+    Column("speed_true_mps", Mean, |it| it.speed_mps.and(it.true_speed_mps)),
     Column("speed_mps", Mean, |it| it.speed_mps),
     Column("speed_sd_mps", Deviation, |it| it.speed_mps),
     Column("position_rms_m", RootMean, |it| squared(error_m(it))),
@@ -95,13 +100,19 @@ impl ObjectStats {
         if let Some(error_m) = error_m(observation) {
             self.error.add(error_m);
         }
-        let Observation { time_s, truth, seen, .. } = *observation;
+        let seen = observation.seen;
         self.found += u64::from(seen.is_some());
         if let Some(id) = seen.and_then(|seen| seen.id) {
             self.switches += u64::from(self.last_id.is_some_and(|last| last != id));
             self.identities.insert(id);
             self.last_id = Some(id);
         }
+        self.pass(observation);
+    }
+
+    /// Takes in where the object is in a frame in which it need not be found: the next speed is that since then.
+    pub fn pass(&mut self, observation: &Observation) {
+        let Observation { time_s, truth, seen, .. } = *observation;
         if let Some(truth) = truth {
             self.last = Some(Last { time_s, truth: truth.position, seen: seen.map(|seen| seen.state.position) });
         }
@@ -143,19 +154,24 @@ fn pooled<'a>(objects: impl Iterator<Item = &'a ObjectStats>, of: impl Fn(&Objec
     sum / known.iter().map(RunningStats::count).sum::<u64>() as f64
 }
 
-/// The row of all objects; so many answers were about nothing. CLEAR-MOT: `MOTA = 1 - (missed + wrong + switches) / objects`,
-/// MOTP is the mean distance of what was found.
-pub fn all<'a>(objects: impl Iterator<Item = &'a ObjectStats> + Clone, wrong: u64) -> Row {
+/// Adds what is told of all objects alone; so many answers were about nothing. CLEAR-MOT:
+/// `MOTA = 1 - (missed + wrong + switches) / objects`, MOTP is the mean distance of what was found.
+pub fn tell_faults<'a>(row: &mut Row, objects: impl Iterator<Item = &'a ObjectStats> + Clone, wrong: u64) {
     let sum = |count: fn(&ObjectStats) -> u64| objects.clone().map(count).sum::<u64>();
     let (frames, found) = (sum(|object| object.frames), sum(|object| object.found));
-    let switches = sum(|object| object.switches);
-    let faults = frames - found + wrong + switches;
-    let mut row = Row::about("all", frames, found);
-    row.count("identities", sum(|object| object.identities.len() as u64));
-    row.count("switches", switches);
+    let faults = frames - found + wrong + sum(|object| object.switches);
     row.count("wrong", wrong);
     row.number("mota", 1.0 - faults as f64 / frames as f64);
-    row.number("motp_m", pooled(objects.clone(), |object| object.error));
+    row.number("motp_m", pooled(objects, |object| object.error));
+}
+
+/// The row of all objects; so many answers were about nothing.
+pub fn all<'a>(objects: impl Iterator<Item = &'a ObjectStats> + Clone, wrong: u64) -> Row {
+    let sum = |count: fn(&ObjectStats) -> u64| objects.clone().map(count).sum::<u64>();
+    let mut row = Row::about("all", sum(|object| object.frames), sum(|object| object.found));
+    row.count("identities", sum(|object| object.identities.len() as u64));
+    row.count("switches", sum(|object| object.switches));
+    tell_faults(&mut row, objects.clone(), wrong);
     for column in ["radius_sigmas", "center_sigmas"] {
         row.number(column, pooled(objects.clone(), |object| object.sums.of(column)).sqrt());
     }
@@ -190,14 +206,36 @@ mod tests {
         }
     }
 
+    fn sight(time_s: f64, x: f64, seen: Option<f64>) -> Observation {
+        let at = |x: f64| {
+            let (position, axis) = (Vector3::new(x, 0.0, 2.0), Vector3::zeros());
+            State { position, distance_m: 2.0 + x, radius_m: 0.1, half_angle: 0.0, axis }
+        };
+        let seen = seen.map(|x| Seen { state: at(x), id: None, stated_speed_mps: None, sigmas: Sigmas::default() });
+        Observation { time_s, truth: Some(at(x)), seen, ..Observation::default() }
+    }
+
     #[test]
     fn frames_of_one_time_tell_no_speed() {
         let mut ball = ObjectStats::new("ball");
         for (time_s, x) in [(0.0, 0.0), (0.0, 0.1), (0.5, 0.2)] {
-            let (position, axis) = (Vector3::new(x, 0.0, 2.0), Vector3::zeros());
-            let truth = Some(State { position, distance_m: 2.0, radius_m: 0.1, half_angle: 0.0, axis });
-            ball.add(&mut Observation { time_s, truth, ..Observation::default() });
+            ball.add(&mut sight(time_s, x, Some(x)));
         }
         assert!((ball.row().number_of("speed_true_mps").unwrap() - 0.2).abs() < 1e-12, "{:?}", ball.row());
+    }
+
+    /// It goes away while it is not seen, and faster.
+    #[test]
+    fn the_truth_is_told_of_the_frames_in_which_it_was_seen() {
+        let mut ball = ObjectStats::new("ball");
+        for (time_s, x, seen) in [(0.0, 0.0, Some(0.0)), (1.0, 0.2, Some(0.2)), (2.0, 3.0, None), (3.0, 9.0, None)] {
+            ball.add(&mut sight(time_s, x, seen));
+        }
+        let row = ball.row();
+        for (column, expected) in
+            [("distance_true_m", 2.1), ("distance_m", 2.1), ("speed_true_mps", 0.2), ("speed_mps", 0.2)]
+        {
+            assert!((row.number_of(column).unwrap() - expected).abs() < 1e-12, "{column}: {row:?}");
+        }
     }
 }

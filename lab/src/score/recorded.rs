@@ -190,13 +190,12 @@ impl RecordedTruth {
                 "metres for objects, mm for `frames`"
             ));
         }
-        let list = |entries: &[Entry]| entries.iter().map(|entry| entry.truth(tolerances)).collect::<Result<Vec<_>>>();
-        let everywhere = file.objects.as_deref().map(list).transpose()?;
+        let everywhere = file.objects.as_deref().map(|entries| truths(entries, "", tolerances)).transpose()?;
         let (unmeasured, not_wanted) = (boxes(&file.visible_unmeasured)?, boxes(&file.not_wanted)?);
         let (origin, by_frame) = (String::new(), BTreeMap::new());
         let mut truth = Self { origin, by_frame, everywhere, unmeasured, not_wanted };
         for (name, entries) in file.scenes.iter().flatten() {
-            truth.insert(name, Some(list(entries).with_context(|| format!("scene `{name}`"))?))?;
+            truth.insert(name, Some(truths(entries, name, tolerances).with_context(|| format!("scene `{name}`"))?))?;
         }
         let range_mm = file.radius.and_then(|radius| radius.accept_range_mm);
         for frame in file.frames.iter().flatten() {
@@ -251,6 +250,11 @@ impl RecordedTruth {
         self.by_frame.keys().next().map(String::as_str)
     }
 
+    /// The names of the frames of which it says what is in them.
+    pub fn judged_frames(&self) -> impl Iterator<Item = &str> {
+        self.by_frame.iter().filter(|(_, truths)| truths.is_some()).map(|(name, _)| name.as_str())
+    }
+
     /// What is in the frame of a file; `None` where that was not measured.
     pub fn objects(&self, source: &str) -> Option<&[TrueObject]> {
         match self.by_frame.get(file_name(source)) {
@@ -258,6 +262,21 @@ impl RecordedTruth {
             None => self.everywhere.as_deref(),
         }
     }
+}
+
+/// The objects of a list. One without a name is named by its type, its place and the frame, so that no other has its name.
+fn truths(entries: &[Entry], frame: &str, tolerances: &RecordedTolerances) -> Result<Vec<TrueObject>> {
+    let mut truths: Vec<TrueObject> = Vec::new();
+    for (number, entry) in (1..).zip(entries) {
+        let place = if frame.is_empty() { String::new() } else { format!(" of {}", file_name(frame).escape_debug()) };
+        let unnamed = || format!("{} {number}{place}", entry.kind.escape_debug());
+        let name = if entry.what.is_empty() { unnamed() } else { entry.what.clone() };
+        if truths.iter().any(|truth| truth.name == name) {
+            bail!(Hinted::new(format!("two objects are named `{name}`"), "give each a `what` of its own"));
+        }
+        truths.push(entry.truth(name, tolerances)?);
+    }
+    Ok(truths)
 }
 
 /// The boxes of each frame; what has none is told of in words only.
@@ -287,12 +306,12 @@ fn check_radius(radius: f64, what: &str) -> Result<()> {
 }
 
 /// The last part of a path, with `/` as separator on every system.
-fn file_name(path: &str) -> &str {
+pub(super) fn file_name(path: &str) -> &str {
     path.rsplit('/').next().unwrap_or(path)
 }
 
 impl Entry {
-    fn truth(&self, tolerances: &RecordedTolerances) -> Result<TrueObject> {
+    fn truth(&self, name: String, tolerances: &RecordedTolerances) -> Result<TrueObject> {
         let radius = self.radius_m;
         check_radius(radius, &self.what)?;
         let body = match (self.kind.as_str(), self.axis_point_m, self.axis_dir, self.centre_m) {
@@ -318,7 +337,8 @@ impl Entry {
             ("cone_frustum", Some(Quality::Poor)) => &ObjectKind::ALL,
             _ => tolerance.shapes,
         };
-        Ok(TrueObject { name: self.what.clone(), body, hidden: 0.0, required, tolerance })
+        let measured = self.quality != Some(Quality::Poor);
+        Ok(TrueObject { name, body, hidden: 0.0, required, measured, tolerance })
     }
 
     /// A cylinder that widens along its axis.
@@ -374,10 +394,16 @@ impl BallEntry {
         check_radius(self.radius_mm, "ball")?;
         let body = sphere(self.centre_mm.map(|coordinate| 1e-3 * coordinate), 1e-3 * self.radius_mm);
         let mut tolerance = tolerances.of(&body);
-        if let Some(range_mm) = range_mm {
+        if let Some(range_mm @ [least, most]) = range_mm {
+            if !(least..=most).contains(&self.radius_mm) {
+                bail!(Hinted::new(
+                    format!("`accept_range_mm` goes from {least} to {most}, and the radius is {}", self.radius_mm),
+                    "it rises, and the true radius lies in it: both in mm"
+                ));
+            }
             tolerance.radius_m = range_mm.map(|limit| 1e-3 * limit);
         }
-        Ok(TrueObject { name: "ball".into(), body, hidden: 0.0, required: true, tolerance })
+        Ok(TrueObject { name: "ball".into(), body, hidden: 0.0, required: true, measured: true, tolerance })
     }
 }
 
@@ -403,6 +429,7 @@ mod tests {
         assert_eq!((tin.name.as_str(), tin.body.axis, tin.required), ("tin\\u{1b}[31m\\n  a", [0.0, 1.0, 0.0], true));
         assert!((tin.tolerance.radius_m[1] - 0.054).abs() < 1e-12);
         assert_eq!((bowl.body.shape(), bowl.required), (ObjectKind::Sphere, false));
+        assert_eq!(bowl.name, "sphere_like 2 of a.pcd", "what has no name is told apart");
         assert_eq!(truth.objects("b.pcd").map(<[TrueObject]>::len), Some(0));
         assert_eq!(truth.objects("d.pcd").map(<[TrueObject]>::len), Some(0), "named with its folder");
         assert!(truth.objects("c.pcd").is_none());
@@ -433,6 +460,7 @@ mod tests {
         )
         .unwrap();
         for poor in truth.objects("anything").unwrap() {
+            assert!(!poor.measured);
             assert_eq!((poor.tolerance.radius_m, poor.tolerance.position_m), ([0.02, 0.06], 0.05));
         }
     }
@@ -592,6 +620,22 @@ mod tests {
             (
                 r#"{"units": "mm", "frames": [{"file": "a", "sphere": {"centre_mm": [0, 0, 1], "radius_mm": 0}}]}"#,
                 "the radius of `ball` is 0",
+            ),
+            (
+                r#"{"units": "mm", "radius": {"accept_range_mm": [222, 195]}, "frames": [
+                    {"file": "a", "sphere": {"centre_mm": [0, 0, 1], "radius_mm": 208}}]}"#,
+                "`accept_range_mm` goes from 222 to 195, and the radius is 208\n  hint: ",
+            ),
+            (
+                r#"{"units": "mm", "radius": {"accept_range_mm": [0.195, 0.222]}, "frames": [
+                    {"file": "a", "sphere": {"centre_mm": [0, 0, 1], "radius_mm": 208}}]}"#,
+                "`accept_range_mm` goes from 0.195 to 0.222, and the radius is 208\n  hint: ",
+            ),
+            (
+                r#"{"units": "m", "scenes": {"0.png": [
+                    {"type": "sphere", "what": "orb", "radius_m": 1, "centre_m": [0, 0, 1]},
+                    {"type": "sphere", "what": "orb", "radius_m": 1, "centre_m": [0, 0, 5]}]}}"#,
+                "scene `0.png`: two objects are named `orb`\n  hint: ",
             ),
             (r#"{"units": "m", "objects": [{"type": "sphere", "radius_m": 1, "quality": "pour"}]}"#, "`pour`"),
             (r#"{"units": "m", "scenes": {"a/0.pcd": [], "b/0.pcd": []}}"#, "two entries for `0.pcd`"),

@@ -36,6 +36,8 @@ pub struct Sample {
     pub hidden: Option<f64>,
     /// How the answer compares that is right about a true object, and its errors in standard deviations.
     pub found: Option<(Comparison, Sigmas)>,
+    /// Whether a true object is known well enough for errors to tell anything.
+    pub measured: bool,
     /// Of a wrong answer what comes nearest to it.
     pub fault: Option<Fault>,
 }
@@ -43,23 +45,28 @@ pub struct Sample {
 impl Sample {
     fn of(group: usize, object: &Object) -> Self {
         let (shape, distance) = (object.shape(), Vector3::from(object.center).norm());
-        Self { group, shape, distance, radius_m: object.radius, hidden: None, found: None, fault: None }
+        Self { group, shape, distance, radius_m: object.radius, hidden: None, found: None, measured: true, fault: None }
+    }
+
+    /// How the answer compares that is right about a true object, where that tells anything of how good it is.
+    pub fn errors(&self) -> Option<(Comparison, Sigmas)> {
+        self.found.filter(|_| self.measured)
     }
 
     /// Distance between where it is and where it was found, in millimetres.
     pub fn position_error_mm(&self) -> Option<f64> {
-        Some(1e3 * self.found?.0.position_m)
+        Some(1e3 * self.errors()?.0.position_m)
     }
 
     /// Angle between the axis as it is and as it was found, in degrees, where its shape has one.
     pub fn axis_error_deg(&self) -> Option<f64> {
-        self.found.filter(|_| self.shape.has_axis()).map(|(comparison, _)| comparison.axis.to_degrees())
+        self.errors().filter(|_| self.shape.has_axis()).map(|(comparison, _)| comparison.axis.to_degrees())
     }
 
     /// By how much the half-angle that was found is off, in degrees, where its shape has one.
     pub fn half_angle_error_deg(&self) -> Option<f64> {
-        let found = self.found.filter(|_| self.shape.has_half_angle());
-        found.map(|(comparison, _)| comparison.half_angle.abs().to_degrees())
+        let errors = self.errors().filter(|_| self.shape.has_half_angle());
+        errors.map(|(comparison, _)| comparison.half_angle.abs().to_degrees())
     }
 }
 
@@ -77,7 +84,8 @@ impl Score {
             let found = answer
                 .as_ref()
                 .map(|Answer { object, .. }| (compare(&truth.body, object), Sigmas::of(&truth.body, object)));
-            self.samples.push(Sample { hidden: Some(truth.hidden), found, ..Sample::of(group, &truth.body) });
+            let (hidden, measured) = (Some(truth.hidden), truth.measured);
+            self.samples.push(Sample { hidden, found, measured, ..Sample::of(group, &truth.body) });
         }
         for (object, fault) in &frame.wrong {
             self.samples.push(Sample { fault: Some(*fault), ..Sample::of(group, object) });
@@ -100,6 +108,7 @@ mod tests {
             let told =
                 |sample: &Sample| [sample.position_error_mm(), sample.axis_error_deg(), sample.half_angle_error_deg()];
             assert_eq!(told(&missed), [None; 3]);
+            assert_eq!(told(&Sample { measured: false, ..found }), [None; 3], "it only had to be seen");
             for (i, (error, expected)) in told(&found).into_iter().zip(all).enumerate() {
                 assert_eq!(error.is_some(), i < errors, "{shape:?}");
                 assert!(error.is_none_or(|error| (error - expected).abs() < 1e-9), "{shape:?}: {error:?}");

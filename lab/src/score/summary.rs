@@ -11,8 +11,8 @@ type Median = (&'static str, fn(&Sample) -> Option<f64>);
 const COUNTS: [&str; 5] = ["frames", "to_find", "found", "wrong", "neither"];
 const SHARES: [&str; 4] = ["wrong_per_frame", "recall", "precision", "f1"];
 const MEDIANS: [Median; 5] = [
-    ("radius_error_mm", |sample| Some(1e3 * (sample.found?.0.radius_m - sample.radius_m).abs())),
-    ("radius_bias_mm", |sample| Some(1e3 * (sample.found?.0.radius_m - sample.radius_m))),
+    ("radius_error_mm", |sample| Some(1e3 * (sample.errors()?.0.radius_m - sample.radius_m).abs())),
+    ("radius_bias_mm", |sample| Some(1e3 * (sample.errors()?.0.radius_m - sample.radius_m))),
     ("position_error_mm", Sample::position_error_mm),
     ("axis_error_deg", Sample::axis_error_deg),
     ("half_angle_error_deg", Sample::half_angle_error_deg),
@@ -61,6 +61,7 @@ mod tests {
             radius_m: 0.1,
             hidden: Some(0.0),
             found: None,
+            measured: true,
             fault: None,
         };
         let found = |radius_m: f64| {

@@ -25,14 +25,14 @@ const ERRORS: [(&str, usize, Pairing); 5] = [
 
 /// The standard deviations that are judged.
 const SIGMAS: [(&str, Pairing); 4] = [
-    ("radius", |sample| sample.found?.1.radius),
-    ("centre", |sample| sample.found?.1.center),
-    ("axis", |sample| sample.found?.1.axis),
-    ("half-angle", |sample| sample.found?.1.half_angle),
+    ("radius", |sample| sample.errors()?.1.radius),
+    ("centre", |sample| sample.errors()?.1.center),
+    ("axis", |sample| sample.errors()?.1.axis),
+    ("half-angle", |sample| sample.errors()?.1.half_angle),
 ];
 
 fn radius_error(sample: &Sample) -> Option<f64> {
-    Some(100.0 * (sample.found?.0.radius_m / sample.radius_m - 1.0))
+    Some(100.0 * (sample.errors()?.0.radius_m / sample.radius_m - 1.0))
 }
 
 /// All tables.
@@ -192,6 +192,7 @@ mod tests {
             radius_m: 0.5,
             hidden: Some(0.2),
             found: None,
+            measured: true,
             fault: None,
         };
         let found = |off: f64| {
@@ -220,7 +221,7 @@ mod tests {
         assert_eq!(line(&report, "cone from 2.00 m")[4..7], ["0", "0", "1"]);
         assert_eq!(line(&report, "10 to 30 %")[4..7], ["4", "3", "0.750"]);
         assert_eq!(line(&report, "nothing there"), ["nothing", "there", "0", "0", "1"]);
-        assert!(report.contains("2.16 (2.00)"), "root of (1 + 4 + 9) / 3\n{report}");
+        assert!(report.contains("2.16 (2.36)"), "root of (1 + 4 + 9) / 3\n{report}");
         let counted = "3 frames, 4 objects to be found: 3 found, 1 wrong answers, 0 right ones about others\n";
         assert!(report.starts_with(counted), "{report}");
     }

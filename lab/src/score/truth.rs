@@ -23,6 +23,8 @@ pub struct TrueObject {
     pub hidden: f64,
     /// Whether it must be found; else a right answer is neither counted nor held against the detector.
     pub required: bool,
+    /// Whether it is known well enough for errors to tell anything; else it only has to be seen.
+    pub measured: bool,
     /// What counts as right.
     pub tolerance: Tolerance,
 }
@@ -190,6 +192,7 @@ impl RenderedTruth {
         let truths = truth_at(scene, header.camera, header.stamp_ns as f64 * 1e-9).into_iter();
         let object = |truth: Truth| TrueObject {
             required: self.required.are_met_by(&truth),
+            measured: true,
             tolerance: self.tolerance.of(&truth.body),
             name: truth.name,
             body: truth.body,
@@ -207,7 +210,7 @@ mod tests {
 
     fn expected(body: Object) -> TrueObject {
         let tolerance = Tolerances::default().of(&body);
-        TrueObject { name: "thing".into(), body, hidden: 0.0, required: true, tolerance }
+        TrueObject { name: "thing".into(), body, hidden: 0.0, required: true, measured: true, tolerance }
     }
 
     fn leaning(degrees: f64) -> [f64; 3] {

@@ -26,18 +26,35 @@ struct Quantity {
     key: &'static str,
     of: fn(&Difference) -> f64,
     has: fn(ObjectKind) -> bool,
+    /// Whether it can be on either side: a distance, an angle and a ratio have no other side.
+    is_signed: bool,
 }
 
 const QUANTITIES: [Quantity; 5] = [
-    Quantity { name: "position", unit: "mm", key: "position_mm", of: |d| 1e3 * d.position_m, has: |_| true },
-    Quantity { name: "radius", unit: "mm", key: "radius_mm", of: |d| 1e3 * d.radius_m, has: |_| true },
-    Quantity { name: "axis", unit: "deg", key: "axis_deg", of: |d| d.axis.to_degrees(), has: ObjectKind::has_axis },
+    Quantity {
+        name: "position",
+        unit: "mm",
+        key: "position_mm",
+        of: |d| 1e3 * d.position_m,
+        has: |_| true,
+        is_signed: false,
+    },
+    Quantity { name: "radius", unit: "mm", key: "radius_mm", of: |d| 1e3 * d.radius_m, has: |_| true, is_signed: true },
+    Quantity {
+        name: "axis",
+        unit: "deg",
+        key: "axis_deg",
+        of: |d| d.axis.to_degrees(),
+        has: ObjectKind::has_axis,
+        is_signed: false,
+    },
     Quantity {
         name: "half-angle",
         unit: "deg",
         key: "half_angle_deg",
         of: |d| d.half_angle.to_degrees(),
         has: ObjectKind::has_half_angle,
+        is_signed: true,
     },
     Quantity {
         name: "sigma of radius",
@@ -45,6 +62,7 @@ const QUANTITIES: [Quantity; 5] = [
         key: "radius_sigma_ratio",
         of: |d| d.radius_sigma,
         has: |_| true,
+        is_signed: false,
     },
 ];
 
@@ -79,11 +97,9 @@ impl Variants<'_> {
         let mut table = Table::new(&["DIFFERENCE", "UNIT", "B - A", "size", "90 %", "greatest"]);
         for quantity in &QUANTITIES {
             let values = self.values(quantity);
-            // A distance, an angle and a ratio have no other side.
-            let is_signed = values.clone().any(|value| value < 0.0);
             let sizes = || values.clone().map(f64::abs);
             if let Some(middle) = share_below(sizes(), 0.5) {
-                let signed = share_below(values.clone(), 0.5).filter(|_| is_signed);
+                let signed = share_below(values.clone(), 0.5).filter(|_| quantity.is_signed);
                 let figures = [signed, Some(middle), share_below(sizes(), 0.9), share_below(sizes(), 1.0)];
                 let names = [quantity.name, quantity.unit].map(str::to_owned).into_iter();
                 table.row(names.chain(figures.map(|figure| cell(figure, 2))));
@@ -203,5 +219,20 @@ impl Display for Variants<'_> {
             )?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_has_a_sign_is_told_with_it_though_all_differences_are_positive() {
+        let difference =
+            Difference { position_m: 0.002, radius_m: 0.001, axis: 0.1, half_angle: 0.1, radius_sigma: 1.5 };
+        let tally = Tally { differences: vec![(ObjectKind::Cone, difference)], ..Tally::default() };
+        let table = Variants { topic: "objects", sets: [&[], &[]], tally: &tally }.differences().to_string();
+        let signed = |name: &str| table.lines().find(|line| line.starts_with(name)).unwrap().split_whitespace().nth(2);
+        assert_eq!([signed("position"), signed("radius"), signed("axis")], [Some("-"), Some("1.00"), Some("-")]);
     }
 }
