@@ -127,7 +127,9 @@ pub fn fault(truth: &TrueObject, answer: &Object) -> Option<Fault> {
     let wrong_shape = !shapes.contains(&answer.shape());
     // another shape that is allowed has another half-angle
     let same_shape = answer.shape() == truth.body.shape();
-    if wrong_shape || comparison.position_m >= position_m || is_beyond_end(&truth.body, answer) {
+    // Of what only has to be seen the ends are not known well.
+    let is_beyond = truth.measured && is_beyond_end(&truth.body, answer);
+    if wrong_shape || comparison.position_m >= position_m || is_beyond {
         let fault = if wrong_shape { Fault::Shape } else { Fault::Position };
         Some(if is_near(&truth.body, answer) { fault } else { Fault::NothingThere })
     } else if comparison.axis >= axis {
@@ -390,6 +392,8 @@ pub(super) mod tests {
         let found: Vec<_> = matched.pairs.iter().map(|(_, answer)| answer.is_some()).collect();
         let faults: Vec<_> = matched.wrong.iter().map(|(_, fault)| *fault).collect();
         assert_eq!((found, faults), (vec![false, true], vec![Fault::Second]));
+        let presence = TrueObject { measured: false, ..expected(can(-0.1, 0.2)) };
+        assert_eq!(fault(&presence, &can(0.1, 0.2)), None, "where it ends is not known well");
     }
 
     /// Within 5 cm of its side, where it is widest, and of its ends.

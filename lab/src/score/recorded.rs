@@ -264,16 +264,19 @@ impl RecordedTruth {
     }
 }
 
-/// The objects of a list. One without a name is named by its type, its place and the frame, so that no other has its name.
+/// The objects of a list. No two have one name: one without is named by its type, its place and the frame, and one whose name is
+/// taken by its place, too.
 fn truths(entries: &[Entry], frame: &str, tolerances: &RecordedTolerances) -> Result<Vec<TrueObject>> {
     let mut truths: Vec<TrueObject> = Vec::new();
     for (number, entry) in (1..).zip(entries) {
         let place = if frame.is_empty() { String::new() } else { format!(" of {}", file_name(frame).escape_debug()) };
         let unnamed = || format!("{} {number}{place}", entry.kind.escape_debug());
-        let name = if entry.what.is_empty() { unnamed() } else { entry.what.clone() };
-        if truths.iter().any(|truth| truth.name == name) {
-            bail!(Hinted::new(format!("two objects are named `{name}`"), "give each a `what` of its own"));
-        }
+        let is_taken = truths.iter().any(|truth| truth.name == entry.what);
+        let name = match &entry.what {
+            what if what.is_empty() => unnamed(),
+            what if is_taken => format!("{what} {number}"),
+            what => what.clone(),
+        };
         truths.push(entry.truth(name, tolerances)?);
     }
     Ok(truths)
@@ -395,10 +398,12 @@ impl BallEntry {
         let body = sphere(self.centre_mm.map(|coordinate| 1e-3 * coordinate), 1e-3 * self.radius_mm);
         let mut tolerance = tolerances.of(&body);
         if let Some(range_mm @ [least, most]) = range_mm {
-            if !(least..=most).contains(&self.radius_mm) {
+            // What a sensor shows may be a little off, so that the true radius need not lie in the range.
+            let is_about_it = most > 0.5 * self.radius_mm && least < 2.0 * self.radius_mm;
+            if least >= most || !is_about_it {
                 bail!(Hinted::new(
                     format!("`accept_range_mm` goes from {least} to {most}, and the radius is {}", self.radius_mm),
-                    "it rises, and the true radius lies in it: both in mm"
+                    "give the least radius that is right, then the greatest, in mm"
                 ));
             }
             tolerance.radius_m = range_mm.map(|limit| 1e-3 * limit);
@@ -422,7 +427,9 @@ mod tests {
             r#"{"units": "m", "how": "by hand", "scenes": {"a.pcd": [
                 {"type": "cylinder", "what": "tin\u001b[31m\n  a", "radius_m": 0.05, "axis_point_m": [0, 0, 1],
                     "axis_dir": [0, 2, 0]},
-                {"type": "sphere_like", "radius_m": 0.08, "centre_m": [0.1, 0, 1]}], "b.pcd": [], "clouds/d.pcd": []}}"#,
+                {"type": "sphere_like", "radius_m": 0.08, "centre_m": [0.1, 0, 1]}], "b.pcd": [], "clouds/d.pcd": [
+                {"type": "sphere", "what": "orb", "radius_m": 0.1, "centre_m": [0, 0, 1]},
+                {"type": "sphere", "what": "orb", "radius_m": 0.1, "centre_m": [0, 0, 5]}]}}"#,
         )
         .unwrap();
         let [tin, bowl] = truth.objects("a.pcd").unwrap() else { panic!() };
@@ -431,7 +438,8 @@ mod tests {
         assert_eq!((bowl.body.shape(), bowl.required), (ObjectKind::Sphere, false));
         assert_eq!(bowl.name, "sphere_like 2 of a.pcd", "what has no name is told apart");
         assert_eq!(truth.objects("b.pcd").map(<[TrueObject]>::len), Some(0));
-        assert_eq!(truth.objects("d.pcd").map(<[TrueObject]>::len), Some(0), "named with its folder");
+        let names = truth.objects("d.pcd").unwrap().iter().map(|truth| truth.name.as_str());
+        assert!(names.eq(["orb", "orb 2"]), "a frame that is named with its folder");
         assert!(truth.objects("c.pcd").is_none());
     }
 
@@ -630,12 +638,6 @@ mod tests {
                 r#"{"units": "mm", "radius": {"accept_range_mm": [0.195, 0.222]}, "frames": [
                     {"file": "a", "sphere": {"centre_mm": [0, 0, 1], "radius_mm": 208}}]}"#,
                 "`accept_range_mm` goes from 0.195 to 0.222, and the radius is 208\n  hint: ",
-            ),
-            (
-                r#"{"units": "m", "scenes": {"0.png": [
-                    {"type": "sphere", "what": "orb", "radius_m": 1, "centre_m": [0, 0, 1]},
-                    {"type": "sphere", "what": "orb", "radius_m": 1, "centre_m": [0, 0, 5]}]}}"#,
-                "scene `0.png`: two objects are named `orb`\n  hint: ",
             ),
             (r#"{"units": "m", "objects": [{"type": "sphere", "radius_m": 1, "quality": "pour"}]}"#, "`pour`"),
             (r#"{"units": "m", "scenes": {"a/0.pcd": [], "b/0.pcd": []}}"#, "two entries for `0.pcd`"),
