@@ -2,9 +2,10 @@
 //!
 //! An answer is right if its shape is the true one (or another that is allowed) and position, radius, axis and half-angle are
 //! within the tolerance: of a sphere the distance of the centres; else the distance of the true middle from the answer's axis,
-//! and the radii there. Along the axis only a part may be seen: there one has to reach to the middle of the other. Pairs are taken one to one. The identity that an object had stays with it where it is still right, as
-//! CLEAR-MOT has it (Bernardin and Stiefelhagen 2008); then objects that have to be found go before those that need not, as a
-//! label before the glass that it sticks to; then the nearest pair goes first.
+//! and the radii there. Along the axis only a part may be seen: there one has to reach to the middle of the other. Pairs are taken
+//! one to one. The identity that an object had stays with it where it is still right, as CLEAR-MOT has it (Bernardin and
+//! Stiefelhagen 2008); then objects that have to be found go before those that need not, as a label before the glass that it
+//! sticks to; then the nearest pair goes first.
 
 use super::truth::{Tolerance, TrueObject};
 use conicflow_messages::{Header, Item, Object, Track, TrackState};
