@@ -59,9 +59,9 @@ impl Detection {
 }
 
 impl Detection {
-    /// What it tells of an object `seconds` later: less, by what moves and changes an object in that time.
+    /// What it tells of the state of an object `seconds` later: its variances grow by what moves and changes an object in that time.
     ///
-    /// Of a position `p + dt v` that went before noise `Q` of acceleration, `[I, -dt I] Q [I, -dt I]' = q dt^3 / 3`.
+    /// The noise `Q` of acceleration adds `[I, -dt I] Q [I, -dt I]' = q dt^3 / 3` to the variance of the position.
     pub fn told_later(&self, seconds: f64, config: &TrackerParameters) -> Self {
         let later = |size: Size, drift: f64| size.predicted(seconds, drift);
         let spread = config.acceleration.powi(2) * seconds.powi(3) / 3.0;

@@ -94,8 +94,8 @@ impl Tracker {
     }
 
     /// The same of a camera that moves, or of several that look at the same place: `camera` is a number that tells which
-    /// (0 is that of [`Self::update`]), `world_from_camera` its pose, row-major `[R | t]` with a rotation R and t in metres. Positions and velocities stay in the
-    /// frame of the camera. What one camera alone sees, the others do not miss.
+    /// (0 is that of [`Self::update`]), `world_from_camera` its pose, row-major `[R | t]` with a rotation R and t in metres.
+    /// Positions and velocities stay in the frame of the camera. What one camera alone sees, the others do not miss.
     ///
     /// # Errors
     /// The pose is none; the tracks are as they were.
