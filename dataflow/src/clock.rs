@@ -13,3 +13,15 @@ pub fn monotonic_ns() -> u64 {
 pub fn unix_ns() -> u64 {
     UNIX_EPOCH.elapsed().map_or(0, |since| since.as_nanos() as u64)
 }
+
+/// Waits until something is so, but not for ever; whether it is.
+#[cfg(test)]
+pub(crate) fn until(mut is_so: impl FnMut() -> bool) -> bool {
+    let begin = std::time::Instant::now();
+    loop {
+        match is_so() {
+            false if begin.elapsed().as_secs() < 20 => std::thread::sleep(std::time::Duration::from_millis(1)),
+            is_so => return is_so,
+        }
+    }
+}

@@ -126,6 +126,13 @@ impl RunLock {
     }
 }
 
+impl Drop for RunLock {
+    fn drop(&mut self) {
+        // A process that another thread starts has a copy of the lock until it is another program.
+        self.file.unlock().ok();
+    }
+}
+
 impl FolderError {
     /// What the system says of a file or folder.
     pub(crate) fn at(path: &Path) -> impl Fn(io::Error) -> Self {
@@ -418,16 +425,6 @@ pub(super) mod tests {
     use super::*;
     use crate::pause::PauseWish;
 
-    /// Gives the lock of a folder back. The processes that other tests start have a copy of it until they are other programs.
-    fn release(lock: RunLock, folder: &RunFolder) {
-        drop(lock);
-        let deadline = Instant::now() + Duration::from_secs(20);
-        while folder.is_running() {
-            assert!(Instant::now() < deadline, "it runs although nobody has the lock");
-            std::thread::yield_now();
-        }
-    }
-
     /// The run's folder at this place.
     pub fn folder_at(path: &Path) -> RunFolder {
         RunFolder { path: path.to_owned(), shared_memory: path.join("shm") }
@@ -447,7 +444,7 @@ pub(super) mod tests {
         looks.join().unwrap();
         assert!(folder.is_running());
         assert!(matches!(folder.lock("tracking"), Err(FolderError::Running { name }) if name == "tracking"));
-        release(lock, &folder);
+        drop(lock);
         folder.lock("tracking").unwrap();
     }
 
@@ -601,7 +598,7 @@ pub(super) mod tests {
         let lock = folder.lock("tracking").unwrap();
         assert!(matches!(folder.discard(), Err(FolderError::Running { .. })));
         assert_eq!(left(), [true; 3]);
-        release(lock, &folder);
+        drop(lock);
         folder.discard().unwrap();
         assert_eq!(left(), [false, false, true]);
     }

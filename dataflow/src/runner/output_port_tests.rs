@@ -2,7 +2,8 @@
 
 use super::output_port::{OutputPort, Telling, end_of_stream};
 use super::peers::Peers;
-use super::place_trial::{AtOnce, until};
+use super::place_trial::AtOnce;
+use crate::clock::until;
 use crate::heartbeat::Heartbeat;
 use crate::item_type::ItemType;
 use crate::log::tests::logged;

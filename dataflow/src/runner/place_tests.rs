@@ -1,8 +1,9 @@
 //! A stage in its place.
 
 use super::handover::tests::successor;
-use super::place_trial::{Trial, ball, end_of, from, mark, send, send_items, taken, taken_until_end, topic, until};
+use super::place_trial::{Trial, ball, end_of, from, mark, send, send_items, taken, taken_until_end, topic};
 use super::{RunError, is_stopped};
+use crate::clock::until;
 use crate::ports::{Delivery, PortError, Reader, Transport, Wiring, Writer};
 use crate::status::{Life, used};
 use conicflow_messages::{Object, Text};

@@ -6,6 +6,7 @@ use super::source_loop::run_source;
 use super::stage_loop::run_stage;
 use super::untyped::{NewSource, NewStage};
 use super::{RunError, StageRuntime};
+use crate::clock::until;
 use crate::pause::Pause;
 use crate::ports::in_memory::{InMemory, MemoryReader, MemoryWriter};
 use crate::ports::{Delivery, Reader, Received, Topic, TopicReader, Transport, Wiring, Writer};
@@ -20,7 +21,7 @@ use std::io::Read;
 use std::io::{ErrorKind, Write};
 use std::os::unix::net::UnixStream;
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use tempfile::TempDir;
 
 pub(super) const RUN: u64 = 7;
@@ -171,18 +172,6 @@ impl Drop for AtOnce {
     fn drop(&mut self) {
         self.0.force();
     }
-}
-
-/// Waits until this is so, but not for ever; whether it is.
-pub(super) fn until(mut is_so: impl FnMut() -> bool) -> bool {
-    let deadline = Instant::now() + Duration::from_secs(20);
-    while Instant::now() < deadline {
-        if is_so() {
-            return true;
-        }
-        thread::sleep(Duration::from_millis(1));
-    }
-    false
 }
 
 /// The run of one stage, whose messages are kept.

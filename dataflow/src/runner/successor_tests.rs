@@ -5,9 +5,10 @@ use super::handover::Watermark;
 use super::handover::tests::successor;
 use super::place_trial::{
     LONG, Passing, RUN, SHORT, Taking, Trial, ball, end_of, from, is_ready, mark, send, send_items, taken_until_end,
-    topic, until,
+    topic,
 };
 use crate::Stage;
+use crate::clock::until;
 use crate::ports::{Delivery, Reader, Transport, Wiring, Writer};
 use crate::status::{InputCounts, Life, StatusFile, status_path};
 use conicflow_messages::{Object, Text};
