@@ -106,7 +106,7 @@ impl Target {
         let dt = (time.at_ns - self.at_ns) as f64 * 1e-9;
         if dt < 0.0 {
             then.move_in_time(dt);
-            then.motion.blur(dt, config.acceleration.powi(2));
+            then.motions_mut().for_each(|motion| motion.blur(dt, config.acceleration.powi(2)));
         } else {
             then.motion.predict(dt, config.acceleration.powi(2));
             then.fall(dt, has_pose, config);
@@ -144,10 +144,12 @@ impl Target {
 
     /// The motions `seconds` later, or before where that is negative.
     fn move_in_time(&mut self, seconds: f64) {
-        self.motion.move_in_time(seconds);
-        if let Some(other) = &mut self.fall.other {
-            other.move_in_time(seconds);
-        }
+        self.motions_mut().for_each(|motion| motion.move_in_time(seconds));
+    }
+
+    /// The motion that holds, and that of the other hypothesis about whether a ball falls.
+    fn motions_mut(&mut self) -> impl Iterator<Item = &mut Motion> {
+        std::iter::once(&mut self.motion).chain(&mut self.fall.other)
     }
 
     /// Of a ball that may fall both motions are predicted: the one that holds, and the other one.
@@ -387,17 +389,34 @@ fn update_or_begin(size: &mut Option<Size>, measured: Option<Size>) {
 mod tests {
     use super::*;
 
+    fn ball(config: &TrackerParameters) -> Detection {
+        let ball =
+            Object { kind: ObjectKind::Sphere.code(), center: [0.0, 0.0, 2.0], radius: 0.1, ..Object::default() };
+        Detection::new(&ball, &IsometryMatrix3::identity(), config)
+    }
+
+    fn time(at_ms: i128) -> Advance {
+        let (source, elapsed_s, usual_s, new_run) = (0, 0.0, f64::INFINITY, false);
+        Advance { source, at_ns: at_ms * 1_000_000, elapsed_s, usual_s, new_run }
+    }
+
+    #[test]
+    fn of_a_late_frame_a_fall_is_as_unsure_as_a_steady_motion() {
+        let config = TrackerParameters { ballistic: Some(Default::default()), ..TrackerParameters::default() };
+        let born = Target::born(1, &ball(&config), &time(0), &config);
+        let now = born.at(&time(200), false, &config);
+        for at_ms in [200, 150, 0] {
+            let then = now.at(&time(at_ms), false, &config);
+            let off = then.fall.other.unwrap().covariance - then.motion.covariance;
+            assert!(off.norm() < 1e-12, "{at_ms} ms");
+        }
+    }
+
     /// Frames of cameras that are late by different times.
     #[test]
     fn a_push_is_as_long_ago_as_the_frame_in_which_it_was_seen_last() {
         let config = TrackerParameters::default();
-        let ball =
-            Object { kind: ObjectKind::Sphere.code(), center: [0.0, 0.0, 2.0], radius: 0.1, ..Object::default() };
-        let first = Detection::new(&ball, &IsometryMatrix3::identity(), &config);
-        let time = |at_ms: i128| {
-            let (source, elapsed_s, usual_s, new_run) = (0, 0.0, f64::INFINITY, false);
-            Advance { source, at_ns: at_ms * 1_000_000, elapsed_s, usual_s, new_run }
-        };
+        let first = ball(&config);
         let mut target = Target::born(1, &first, &time(100), &config);
         // Another camera saw it before, and tells so now.
         let before = Advance { source: 1, ..time(60) };
