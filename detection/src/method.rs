@@ -101,7 +101,7 @@ impl Assembler {
                     candidates.push((object, evidence));
                     let is_probable = f64::from(object.confidence) >= parameters.min_confidence;
                     if is_probable && !objects.iter().any(|other| overlap(other, &object)) {
-                        contours.learn(&candidate.region);
+                        contours.learn(&candidate.region, &object);
                         seeds.take(&candidate, &object);
                         objects.push(object);
                         continue;

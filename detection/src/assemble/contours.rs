@@ -11,8 +11,9 @@ use super::region::Region;
 use conicflow_geometry::{
     Contour, ContourBias, ContourNoise, Information, Scan, Surface, SurfaceFit, fit_with_contour,
 };
-use conicflow_messages::Camera;
-use nalgebra::{Matrix2, Matrix4, SMatrix, SVector, Vector2, Vector4};
+use conicflow_messages::{Camera, Object};
+use nalgebra::{Matrix2, Matrix3, Matrix4, SMatrix, SVector, Vector2, Vector3, Vector4};
+use std::ops::AddAssign;
 
 /// Number of fits to the contour. Each uses the points within the outline of the last one, and those of the contour that are near
 /// it.
@@ -45,13 +46,28 @@ pub(super) const FLATTENED_PX: f64 = 0.06; // [measured]
 /// and 3, 489, 496, 503 and 503 of 520 things are found in recordings (`experiments/README.md`, "The recorded ball").
 const EDGE_WIDTH: f64 = 2.0; // [measured]
 
+/// Standard deviations by which an object that has not moved seems to have, at most.
+const STILL: f64 = 3.0; // [sigmas]
+/// What counts for less of an object than this is forgotten.
+const FADED: f64 = 0.01; // [algorithmic]
+
 /// The contour of one object after another, each fitted with what the earlier ones showed of the bias of contours.
 #[derive(Debug, Default)]
 pub(crate) struct Contours {
     contour: Contour,
     camera: Camera,
-    /// What was learned in rows and in columns.
+    /// What each object showed.
+    shown: Vec<Shown>,
+    /// What all of them showed, in rows and in columns.
     learned: [Learned; 2],
+}
+
+/// What an object showed of contours when it was seen last.
+#[derive(Debug)]
+struct Shown {
+    object: Object,
+    direction: usize,
+    learned: Learned,
 }
 
 /// What objects showed of contours.
@@ -108,7 +124,14 @@ impl Contours {
     pub fn next_image(&mut self, camera: &Camera, memory: f64) {
         let kept = if *camera == self.camera { memory / (memory + 1.0) } else { 0.0 };
         self.camera = *camera;
-        self.learned = self.learned.map(|learned| learned.times(kept));
+        self.shown.iter_mut().for_each(|shown| shown.learned = shown.learned.times(kept));
+        self.shown.retain(|shown| shown.learned.objects >= FADED);
+        self.sum_up();
+    }
+
+    fn sum_up(&mut self) {
+        self.learned = Default::default();
+        self.shown.iter().for_each(|shown| self.learned[shown.direction] += shown.learned);
     }
 
     /// What objects showed of contours, in rows and in columns, as far as any did.
@@ -151,8 +174,10 @@ impl Contours {
         Some(region.model)
     }
 
-    /// Learns from an object where contours lie, and how far their points scatter.
-    pub fn learn(&mut self, region: &Region) {
+    /// Learns from an object where contours lie, and how far their points scatter. What is its own, and most of its noise, is in
+    /// each image of it the same: so what it showed before counts no more, unless it has
+    /// surely moved since.
+    pub fn learn(&mut self, region: &Region, object: &Object) {
         let own = covariance(own_px(window_px(region)), SYSTEMATIC);
         let contour = self.of(region);
         let shown = match &region.model {
@@ -162,25 +187,39 @@ impl Contours {
         };
         if let Some((bias, noise)) = shown {
             let sides = [0, 1].map(|side| contour.used_on(side));
-            let learned = &mut self.learned[direction(region)];
-            learned.bias += bias;
-            learned.noise += noise;
-            learned.objects += f64::from(sides.iter().any(|(points, _)| *points > 0));
-            learned.window_px = window_px(region);
-            for (side, (points, radius_px)) in sides.into_iter().enumerate() {
-                learned.points[side] += points as f64;
-                learned.radii_px[side] += points as f64 * radius_px;
+            if sides.iter().all(|(points, _)| *points == 0) {
+                return;
             }
+            let points = sides.map(|(points, _)| points as f64);
+            let radii_px = sides.map(|(points, radius_px)| points as f64 * radius_px);
+            let learned = Learned { bias, noise, objects: 1.0, points, radii_px, window_px: window_px(region) };
+            let direction = direction(region.ends()[0].scan);
+            self.shown.retain(|shown| shown.direction != direction || !is_still(&shown.object, object));
+            self.shown.push(Shown { object: *object, direction, learned });
+            self.sum_up();
         }
     }
 
     /// How exact the contour of a region is: its bias by what is common to all of the sensor, and by what is its own.
     fn noise(&self, region: &Region) -> ContourNoise {
         let window = window_px(region);
-        let learned = &self.learned[direction(region)];
+        let learned = &self.learned[direction(region.ends()[0].scan)];
         let (mean, common) = learned.bias_of_all(window);
         let bias = ContourBias { mean, covariance: common + covariance(own_px(window), SYSTEMATIC) };
         ContourNoise { point: learned.variance(), shared_lines: region.shared_lines(), bias }
+    }
+}
+
+impl AddAssign for Learned {
+    fn add_assign(&mut self, other: Self) {
+        self.bias += other.bias;
+        self.noise += other.noise;
+        self.objects += other.objects;
+        for side in [0, 1] {
+            self.points[side] += other.points[side];
+            self.radii_px[side] += other.radii_px[side];
+        }
+        self.window_px = other.window_px;
     }
 }
 
@@ -199,7 +238,7 @@ impl Learned {
 
     /// Expectation and covariance of the bias that all objects share, where so many further pixels share the noise of one.
     fn bias_of_all(&self, window: f64) -> (Vector4<f64>, Matrix4<f64>) {
-        combined(self.bias, Vector4::zeros(), covariance(OFFSET_PX + WINDOW_OFFSET_PX * window, SHARE))
+        combined(self.bias, Vector4::zeros(), unknown(window))
     }
 
     /// Variance of a point of the contour, in square pixels, and further in squared radii.
@@ -251,6 +290,11 @@ fn combined<const N: usize>(
     known().unwrap_or((mean, covariance))
 }
 
+/// Covariance of the bias of a sensor of which nothing is known, where so many further pixels share the noise of one.
+fn unknown(window: f64) -> Matrix4<f64> {
+    covariance(OFFSET_PX.hypot(WINDOW_OFFSET_PX * window), SHARE)
+}
+
 /// Standard deviation by which the contour of one object is off by itself, where so many further pixels share the noise of one.
 fn own_px(window: f64) -> f64 {
     SYSTEMATIC_PX + FLATTENED_PX * window
@@ -266,9 +310,16 @@ fn window_px(region: &Region) -> f64 {
     region.ends()[0].shared_px - 1.0
 }
 
+/// Whether an object is where it was seen before, as far as noise tells.
+fn is_still(before: &Object, now: &Object) -> bool {
+    let covariance = [before, now].map(|object| Matrix3::from(object.sigma.center)).iter().sum::<Matrix3<f64>>();
+    let moved = Vector3::from(now.center) - Vector3::from(before.center);
+    covariance.cholesky().is_some_and(|root| moved.dot(&root.solve(&moved)) <= STILL * STILL)
+}
+
 /// Rows or columns.
-fn direction(region: &Region) -> usize {
-    usize::from(region.ends()[0].scan == Scan::Column)
+fn direction(scan: Scan) -> usize {
+    usize::from(scan == Scan::Column)
 }
 
 /// Covariance of a bias whose offset and share have these standard deviations on both sides.
@@ -282,9 +333,8 @@ mod tests {
     use super::super::model;
     use super::super::tests::{arcs_of, wall};
     use super::*;
-    use conicflow_geometry::Vector3;
     use conicflow_lab::rendered::{KINECT_HALF, sphere};
-    use conicflow_messages::ObjectKind;
+    use conicflow_messages::{ObjectKind, ObjectSigma};
 
     const CAMERA: Camera = Camera { width: 320, height: 240, fx: 262.5, fy: 262.5, cx: 159.5, cy: 119.5 };
 
@@ -294,7 +344,10 @@ mod tests {
         let bias = Information::of(&Vector4::new(-0.5, -0.01, -0.5, 0.02), &covariance(1e-5, 1e-6)).unwrap();
         let learned =
             Learned { bias, objects: 3.0, points: [10.0, 4.0], radii_px: [200.0, 40.0], ..Learned::default() };
-        Contours { camera: CAMERA, learned: [Learned::default(), learned], ..Contours::default() }
+        let shown = vec![Shown { object: ball_at(0.0), direction: direction(Scan::Column), learned }];
+        let mut contours = Contours { camera: CAMERA, shown, ..Contours::default() };
+        contours.sum_up();
+        contours
     }
 
     #[test]
@@ -351,6 +404,37 @@ mod tests {
         Region { model: contours.fit(&region).unwrap(), ..region }
     }
 
+    /// What is found of a ball so far to the right.
+    fn ball_at(x: f64) -> Object {
+        let sigma = ObjectSigma { center: Matrix3::from_diagonal_element(1e-4).into(), ..ObjectSigma::default() };
+        Object {
+            kind: ObjectKind::Sphere.code(),
+            center: [x, 0.0, DISTANCE],
+            radius: RADIUS,
+            sigma,
+            ..Object::default()
+        }
+    }
+
+    #[test]
+    fn an_object_counts_once_however_often_it_is_seen_in_its_place_and_as_it_was_seen_last() {
+        let ((arcs, members), mut contours) = (ball(Scan::Row), Contours::default());
+        let region = fitted(&arcs, &members, &mut contours);
+        let mut told = |objects: &[f64]| {
+            contours.next_image(&CAMERA, 4.0);
+            objects.iter().for_each(|&x| contours.learn(&region, &ball_at(x)));
+            contours.errors().next().unwrap()
+        };
+        // How far its points scatter is expected by what it showed before.
+        let often: Vec<_> = (0..20).map(|image| told(&[0.01 * f64::from(image)])).collect();
+        let [before, after] = [10, 19].map(|image| often[image].sides[0].outside_px[1]);
+        assert!(often[19].objects == 1.0 && (after / before - 1.0).abs() < 0.02, "{often:?}");
+        let both = told(&[0.2, 1.0]);
+        assert_eq!((both.objects, both.sides[0].points), (2.0, 2.0 * often[19].sides[0].points));
+        let gone = told(&[1.0]);
+        assert!((gone.objects - 1.8).abs() < 1e-12, "what is not seen any more counts less: {gone:?}");
+    }
+
     #[test]
     fn each_object_shows_as_much_as_its_contour_has_points_at_the_radius_that_it_has_there() {
         // All rays that touch a ball do so at one depth.
@@ -360,7 +444,7 @@ mod tests {
             let ((arcs, members), mut contours) = (ball(scan), Contours::default());
             let (region, mut points) = (fitted(&arcs, &members, &mut contours), [0.0; 2]);
             for count in [1.0, 2.0, 3.0] {
-                contours.learn(&region);
+                contours.learn(&region, &ball_at(count));
                 let told: Vec<_> = contours.errors().collect();
                 let &[ContourErrors { scan: of, objects, sides, .. }] = &told[..] else { panic!("{told:?}") };
                 assert_eq!((of, objects), (scan, count));
@@ -381,7 +465,7 @@ mod tests {
                 .iter_mut()
                 .for_each(|arc| arc.contour = [0, 1].map(|side| arc.contour[side].filter(|_| shows[side])));
             let region = fitted(&arcs, &members, &mut contours);
-            contours.learn(&region);
+            contours.learn(&region, &ball_at(0.0));
             contours.errors().collect::<Vec<_>>()
         };
         assert_eq!(told([false; 2]), []);
@@ -404,7 +488,7 @@ mod tests {
     /// Of windows of three pixels, of which two share the noise of one.
     #[test]
     fn a_contour_is_off_by_what_is_its_own_beside_what_is_not_known_of_all() {
-        let unknown = covariance(OFFSET_PX + 2.0 * WINDOW_OFFSET_PX, SHARE);
+        let unknown = covariance(OFFSET_PX.hypot(2.0 * WINDOW_OFFSET_PX), SHARE);
         let known = (Vector4::new(-0.5, -0.01, -0.5, 0.02), Matrix4::zeros());
         for (scan, (mean, common)) in [(Scan::Row, (Vector4::zeros(), unknown)), (Scan::Column, known)] {
             let (mut arcs, members) = ball(scan);

@@ -78,8 +78,8 @@ pub struct PooledParameters {
     /// in vain from the same surface. With a limit the same image may give other objects on a busy machine.
     #[schemars(range(min = 0.0, max = 10_000.0))]
     pub budget_ms: Option<f64>,
-    /// For how many images counts what an image shows of where this sensor puts contours; 0: each image is looked at as if it
-    /// were the first.
+    /// For how many images counts what an object shows of where this sensor puts contours, from when it was seen in its place last
+    /// on; 0: each image is looked at as if it were the first.
     #[schemars(range(min = 0.0, max = 1e6))]
     pub contour_memory: f64,
 }

@@ -151,12 +151,14 @@ fn conical_sigma(surface: &Conical, covariance: &SMatrix<f64, 5, 5>, measured: &
 fn covariance<S: Surface<N>, const N: usize>(region: &Region, fit: &SurfaceFit<S, N>) -> SMatrix<f64, N, N> {
     let q = region.model.coefficients();
     let stride = region.members.len().div_ceil(ARCS);
+    // Each arc of these stands for so many.
+    let times = region.members.len() as f64 / region.members.len().div_ceil(stride) as f64;
     let mut noise = GradientNoise::new(&fit.surface);
     for arc in region.arcs().step_by(stride) {
         let weight = region.model.weight(arc);
         let along_z = arc.variance / arc.plane.stretch().powi(2);
         let section = section_of(&q, &arc.plane);
-        let share = stride as f64 * region.shared_lines() * arc.points / SAMPLES as f64;
+        let share = times * region.shared_lines() * arc.points / SAMPLES as f64;
         for sample in 0..SAMPLES {
             let part = (sample as f64 + 0.5) / SAMPLES as f64;
             let x = arc.rays[0] + part * (arc.rays[1] - arc.rays[0]);

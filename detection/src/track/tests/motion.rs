@@ -43,6 +43,21 @@ fn a_push_that_nobody_sees_keeps_the_identity_for_a_short_time() {
     assert_eq!(run(8), 2, "after a quarter of a second it may be another");
 }
 
+#[test]
+fn a_ball_of_another_size_is_not_taken_for_one_that_was_pushed() {
+    let tracks = |times_as_large: f64| {
+        let mut tracker = Tracker::new(TrackerParameters::default());
+        for frame in 0..40 {
+            let still = sphere(Vector3::new(0.0, 0.0, 2.0));
+            let other = sphere(Vector3::new(0.15, 0.0, 2.0));
+            let other = Object { radius: other.radius * times_as_large, ..other };
+            tracker.update_frame(&header(frame), &[if frame < 20 { still } else { other }]);
+        }
+        tracker.next_id - 1
+    };
+    assert_eq!([0.8, 1.0, 1.2].map(tracks), [2, 1, 2]);
+}
+
 /// A ball that falls, bounces and rises while it is hidden for 0.6 seconds.
 #[test]
 fn a_bounce_that_nobody_sees_keeps_the_identity_if_the_floor_is_known() {
