@@ -21,6 +21,8 @@ mod channel;
 mod edge_tests;
 mod error;
 mod handshakes;
+#[cfg(test)]
+mod loopback;
 mod peer;
 mod process;
 mod receiving;

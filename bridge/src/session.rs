@@ -254,7 +254,8 @@ impl Subscriber<'_> {
 pub(crate) mod tests {
     use super::*;
     use crate::edge_tests::wait_until;
-    use std::net::{SocketAddr, TcpListener, UdpSocket};
+    use crate::loopback::loopback;
+    use std::net::{SocketAddr, UdpSocket};
     use std::sync::mpsc::channel;
 
     const KEY: &str = "conicflow/test/robot/objects";
@@ -262,9 +263,8 @@ pub(crate) mod tests {
 
     /// Two machines that are joined by a stream and by datagrams, which `between` takes from one address to the other.
     pub fn joined(between: fn(SocketAddr) -> SocketAddr) -> [Sessions; 2] {
-        let stream = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-        let datagrams = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-        let endpoints = |datagrams| vec![format!("tcp/{stream}"), format!("udp/{datagrams}")];
+        let (stream, datagrams) = (loopback(), loopback()["tcp/".len()..].parse::<SocketAddr>().unwrap());
+        let endpoints = |datagrams| vec![stream.clone(), format!("udp/{datagrams}")];
         let listening = Machine { listen: endpoints(datagrams), ..Machine::default() };
         let connecting = Machine { connect: endpoints(between(datagrams)), ..Machine::default() };
         [listening, connecting].map(|machine| Sessions::open(&machine, &Stop::default(), || ()).unwrap().unwrap())

@@ -17,6 +17,7 @@ mod item_type;
 mod launcher;
 mod link_key;
 mod link_report;
+mod lock;
 mod log;
 mod network;
 mod node;

@@ -217,15 +217,16 @@ mod tests {
     use conicflow_dataflow::pipeline::{Pipeline, SourceText};
     use conicflow_dataflow::{NO_RUN, Plan};
     use serde_json::json;
-    use std::fs::Permissions;
-    use std::os::unix::fs::PermissionsExt;
+    use std::process::Command;
 
     /// A program that stands in for Python, and what is said of it.
     fn told(script: &str) -> Result<(), Hinted> {
         let folder = tempfile::tempdir().unwrap();
         let program = folder.path().join("python");
-        std::fs::write(&program, format!("#!/bin/sh\n{script}\n")).unwrap();
-        std::fs::set_permissions(&program, Permissions::from_mode(0o755)).unwrap();
+        // By another process: nobody can run what a process that another test just starts has open for writing.
+        let mut shell = Command::new("sh");
+        shell.args(["-c", "printf '#!/bin/sh\\n%s\\n' \"$1\" > \"$0\" && chmod 755 \"$0\""]).arg(&program).arg(script);
+        assert!(shell.status().unwrap().success());
         let env = [("SDK".to_owned(), "there".to_owned())];
         check::<RealSense>(&json!({"python": "./python"}), folder.path(), &env)
     }

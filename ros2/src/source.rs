@@ -131,6 +131,10 @@ pub struct Ros2Source<M> {
     transforms: Transforms,
     /// The images that came and could not be sent yet, in their order.
     waiting: VecDeque<Waiting>,
+    /// An image waits so long for what tells its camera, ...
+    pub(crate) patience_with_camera: Duration,
+    /// ... and for the transforms of its time.
+    pub(crate) patience_with_pose: Duration,
     /// Since when images come whose camera nobody has told.
     without_camera: Option<Instant>,
     /// Since when frames go without the pose that is wanted.
@@ -178,6 +182,8 @@ impl<M: Middleware> Source for Ros2Source<M> {
             config,
             transforms: Transforms::live(),
             waiting: VecDeque::new(),
+            patience_with_camera: PATIENCE_WITH_CAMERA,
+            patience_with_pose: PATIENCE_WITH_POSE,
             without_camera: None,
             without_pose: None,
             checked: None,
@@ -235,7 +241,7 @@ impl<M: Middleware> Ros2Source<M> {
         if self.cameras.are_known() {
             return false;
         }
-        self.without_camera.get_or_insert_with(Instant::now).elapsed() < PATIENCE_WITH_CAMERA
+        self.without_camera.get_or_insert_with(Instant::now).elapsed() < self.patience_with_camera
     }
 
     /// Takes in what has come of cameras and frames of coordinates.
@@ -269,7 +275,7 @@ impl<M: Middleware> Ros2Source<M> {
         let stamped = picture.stamped();
         let stamp_ns = if stamped.stamp_ns > 0 { stamped.stamp_ns } else { image.came_ns };
         let pose = self.pose(&Stamped { stamp_ns, ..stamped });
-        let may_come = image.came.elapsed() < PATIENCE_WITH_POSE && self.waiting.len() < MOST_WITHOUT_POSE;
+        let may_come = image.came.elapsed() < self.patience_with_pose && self.waiting.len() < MOST_WITHOUT_POSE;
         if pose.is_none() && self.config.world.is_some() && may_come {
             return Ok(None);
         }

@@ -2,7 +2,7 @@
 
 use crate::{Middleware, Participant, Published, Ros2Sink, Ros2Source, SinkConfig, SourceConfig};
 use conicflow_dataflow::testing::{Owned, collect, pass};
-use conicflow_dataflow::{Context, RunError, Source, Stage, StageError};
+use conicflow_dataflow::{ConfigFault, Context, Next, Output, RunError, SideInputs, Source, Stage, StageError};
 use conicflow_messages::{Camera, HAS_POSE, Header, Hop, Object, RECORDED, Text, Track};
 use conicflow_ros::{CameraInfo, Reader, Stamped, Writer, write_metres, write_transform, write_units};
 use serde_json::json;
@@ -10,7 +10,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 use std::sync::Mutex;
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 const CAMERA: Camera = Camera { width: 3, height: 2, fx: 52.5, fy: 52.0, cx: 1.0, cy: 0.5 };
 const STAMPED: Stamped<'_> = Stamped { stamp_ns: 7_000_000_001, frame_id: "camera_depth_optical_frame" };
@@ -73,15 +73,52 @@ impl Scripted {
     }
 }
 
-/// What the source sends of such messages.
+/// The source, which waits for ever for what an image lacks. It says so where nothing comes of that.
+struct Patient {
+    source: Ros2Source<Scripted>,
+    begin: Instant,
+}
+
+impl Source for Patient {
+    const NAME: &'static str = Ros2Source::<Scripted>::NAME;
+    const SUMMARY: &'static str = Ros2Source::<Scripted>::SUMMARY;
+    type Config = SourceConfig;
+    type Output = u16;
+
+    fn faults(config: &SourceConfig, base: &Path) -> Vec<ConfigFault> {
+        Ros2Source::<Scripted>::faults(config, base)
+    }
+
+    fn new(config: SourceConfig, context: &Context) -> Result<Self, StageError> {
+        let mut source = Ros2Source::new(config, context)?;
+        (source.patience_with_camera, source.patience_with_pose) = (Duration::MAX, Duration::MAX);
+        Ok(Self { source, begin: Instant::now() })
+    }
+
+    fn next(&mut self, sides: &SideInputs, output: &mut Output<u16>) -> Result<Next, StageError> {
+        assert!(self.begin.elapsed() < Duration::from_secs(60), "the frames do not come");
+        self.source.next(sides, output)
+    }
+}
+
+/// What the source sends of such messages, none of which it gives up waiting for.
 fn frames(stage: &str, more: serde_json::Value, incoming: Incoming, count: u64) -> Result<Vec<Owned<u16>>, RunError> {
+    frames_of::<Patient>(stage, more, incoming, count)
+}
+
+fn frames_of<S: Source<Config = SourceConfig, Output = u16>>(
+    stage: &str,
+    more: serde_json::Value,
+    incoming: Incoming,
+    count: u64,
+) -> Result<Vec<Owned<u16>>, RunError> {
     let context = Context { stage: stage.to_owned(), ..Context::default() };
     SCRIPTS.lock().unwrap().insert(format!("conicflow_{stage}"), (incoming, Vec::new()));
     let mut config = json!({ "topic": "/camera/depth/image_rect_raw", "connect": ["tcp/127.0.0.1:7447"] });
     config.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
     let config: SourceConfig = serde_json::from_value(config).unwrap();
-    assert_eq!(Ros2Source::<Scripted>::faults(&config, Path::new("")), []);
-    collect::<Ros2Source<Scripted>>(config, context, count)
+    assert_eq!(S::faults(&config, Path::new("")), []);
+    collect::<S>(config, context, count)
 }
 
 fn info() -> Vec<u8> {
@@ -185,7 +222,7 @@ fn as_many_images_wait_for_their_poses_as_come_meanwhile() {
 #[test]
 fn frames_go_on_without_a_pose_that_nothing_tells() {
     let incoming = vec![queue(vec![image(); 40]), queue([info()])];
-    let frames = frames("lost", json!({ "world": "map" }), incoming, 40).unwrap();
+    let frames = frames_of::<Ros2Source<Scripted>>("lost", json!({ "world": "map" }), incoming, 40).unwrap();
     assert!(frames.iter().all(|(header, _)| header.flags & HAS_POSE == 0));
 }
 

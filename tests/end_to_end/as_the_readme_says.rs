@@ -6,7 +6,7 @@ use crate::bridge::link;
 use crate::hosts::Host;
 use crate::outside_stage::ball_before_a_wall;
 use crate::programs::router;
-use crate::support::{Playground, Started, TRACKING, wait_until};
+use crate::support::{Playground, Started, TRACKING, copy_program, wait_until};
 use conicflow_lab::simulator::scene::Scene;
 use std::fs;
 use std::os::unix::fs::{PermissionsExt, symlink};
@@ -111,8 +111,9 @@ fn who_has_two_machines_runs_the_halves_of_a_pipeline() {
 #[test]
 fn who_has_a_camera_is_told_what_is_missing() {
     let playground = Playground::new();
-    playground.write("python3", "#!/bin/sh\necho 'No module named conicflow' >&2\nexit 1\n");
-    fs::set_permissions(playground.path("python3"), fs::Permissions::from_mode(0o755)).unwrap();
+    playground.write("program", "#!/bin/sh\necho 'No module named conicflow' >&2\nexit 1\n");
+    fs::set_permissions(playground.path("program"), fs::Permissions::from_mode(0o755)).unwrap();
+    copy_program(&playground.path("program"), &playground.path("python3"));
     let [command] = commands("a camera")[..] else { panic!("one command") };
     let mut shell = shell(&playground, command);
     shell.current_dir(ROOT).env_remove("VIRTUAL_ENV");

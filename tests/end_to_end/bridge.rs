@@ -1,11 +1,11 @@
 //! One pipeline on two machines: two launchers on this host, each with a runtime folder of its own, joined over loopback.
 
+pub use crate::loopback::loopback;
+
 use super::support::{Ended, InputRow, Playground, Started, TRACKING, environment, python_with, signal, wait_until};
 use rustix::process::Signal;
 use serde_json::Value as Json;
-use std::net::TcpListener;
 use std::process::Command;
-use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
 /// Where the stages of [`TRACKING`] are, unless a test says otherwise.
@@ -30,16 +30,6 @@ pub fn joined(text: &str, places: &[(&str, &str)], listen: &str, connect: &str) 
 /// [`TRACKING`] with its source and extractor on `robot`, the others on `base`.
 pub fn apart(listen: &str, connect: &str) -> String {
     joined(TRACKING, &HALVES, listen, connect)
-}
-
-/// An endpoint on this host that nobody uses, each time another one. Who connects has a port that the system chooses, from 32768
-/// on: these are below, so that nobody takes one by chance before it is listened at.
-pub fn loopback() -> String {
-    static TAKEN: AtomicU32 = AtomicU32::new(0);
-    let next = || 10_000 + (97 * std::process::id() + TAKEN.fetch_add(1, Ordering::Relaxed)) % 22_000;
-    let mut ports = std::iter::repeat_with(next).map(|port| port as u16).take(22_000);
-    let port = ports.find(|port| TcpListener::bind(("127.0.0.1", *port)).is_ok()).unwrap();
-    format!("tcp/127.0.0.1:{port}")
 }
 
 /// Two machines with the same file.

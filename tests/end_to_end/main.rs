@@ -22,6 +22,8 @@ mod hosts;
 mod identities;
 mod intruders;
 mod kept;
+#[path = "../../bridge/src/loopback.rs"]
+mod loopback;
 mod metrics;
 mod node;
 mod outside_stage;

@@ -241,12 +241,12 @@ fn a_token_keeps_others_out_and_without_one_the_network_is_warned_of() {
 fn each_machine_offers_its_own_where_its_table_says() {
     let endpoint = loopback();
     let text = apart(&endpoint, &endpoint).replacen("[stage", "metrics = \"127.0.0.1:0\"\n[stage", 1);
-    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-    let own = format!("[machine.base]\nmetrics = \"{taken}\"\n");
+    let told = loopback()["tcp/".len()..].to_owned();
+    let own = format!("[machine.base]\nmetrics = \"{told}\"\n");
     let [robot, base] = machines(&text.replace("[machine.base]\n", &own));
     let mut runs = [start(&robot, "robot"), start(&base, "base")];
     let hosts = runs.each_mut().map(host);
-    assert!(hosts[0] != hosts[1] && hosts[1] == taken.to_string(), "{hosts:?}");
+    assert!(hosts[0] != hosts[1] && hosts[1] == told, "{hosts:?}");
     runs[1].wait_until("tracks arrive", || newest(&base) > 30);
     let texts = hosts.map(|host| get(&host).text());
     for (text, [here, away]) in texts.iter().zip([["extractor", "tracker"], ["tracker", "extractor"]]) {

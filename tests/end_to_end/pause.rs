@@ -95,10 +95,18 @@ fn standing_at(playground: &Playground) -> u64 {
     last
 }
 
+/// Makes sure that a run is paused for so many seconds: longer than a stage may be silent, or the run is to last.
+fn pause_goes_on(playground: &Playground, seconds: u64) {
+    let paused = std::time::Instant::now();
+    while paused.elapsed().as_secs() < seconds {
+        assert!(playground.top_stage("source")["paused"] == true, "it is paused for longer than that");
+    }
+}
+
 #[test]
 fn keys_pause_a_run_and_step_it_and_a_pause_is_no_standstill() {
     let playground = Playground::with_pipeline(
-        &TRACKING.replace("rate_hz    = 0", "rate_hz    = 40\nrestart    = { when = \"on_failure\", hang_s = 1 }"),
+        &TRACKING.replace("rate_hz    = 0", "rate_hz    = 40\nrestart    = { when = \"on_failure\", hang_s = 3 }"),
     );
     let Some(mut terminal) = Terminal::open("sh") else { return };
     let mut run = Started::watched(terminal.command(&playground, &[PROGRAM, "run"]));
@@ -110,7 +118,7 @@ fn keys_pause_a_run_and_step_it_and_a_pause_is_no_standstill() {
         terminal.press(key);
         run.wait_until("a step is made", || playground.newest("tracks.jsonl") == at + 1 + number as u64);
     }
-    // Longer than a stage may be silent: each look takes a second.
+    pause_goes_on(&playground, 4);
     assert_eq!(standing_at(&playground), at + 3, "and no more");
     assert_eq!(playground.top_stage("source")["starts"], 1, "who is paused does not hang");
     assert!(terminal.text.lock().unwrap().contains(", paused (space: go on"), "the progress says so");
@@ -127,15 +135,12 @@ fn keys_pause_a_run_and_step_it_and_a_pause_is_no_standstill() {
 fn a_paused_run_ends_in_order_and_its_time_stands_still() {
     let playground = Playground::with_pipeline(TRACKING);
     let Some(mut terminal) = Terminal::open("sh") else { return };
-    let program = [PROGRAM, "run", "--set", "source.rate_hz=40", "--for", "4s"];
+    let program = [PROGRAM, "run", "--set", "source.rate_hz=40", "--for", "10s"];
     let mut run = Started::watched(terminal.command(&playground, &program));
     run.wait_until("it delivers", || playground.newest("tracks.jsonl") > 5);
     terminal.press(" ");
     let at = standing_at(&playground);
-    let (paused, top) = (std::time::Instant::now(), || playground.top_stage("source")["paused"] == true);
-    while paused.elapsed().as_secs() < 5 {
-        assert!(top(), "it is paused for longer than it is to last");
-    }
+    pause_goes_on(&playground, 11);
     terminal.press("\x03");
     assert_eq!(run.wait().code, Some(0), "{}", terminal.text.lock().unwrap());
     assert_eq!(playground.newest("tracks.jsonl"), at);

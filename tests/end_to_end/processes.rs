@@ -1,8 +1,8 @@
 //! The processes of a run: who starts whom, what is survived, how it ends, and that nothing stays behind.
 
 use crate::support::{
-    Playground, Started, TRACKING, TRACKING_STAGES, environment, hearing_hangups, parent, processes, signal,
-    tracking_behind, wait_until,
+    Playground, Started, TRACKING, TRACKING_STAGES, TRACKING_TOPICS, copy_program, environment, hearing_hangups,
+    parent, processes, signal, tracking_behind, wait_until,
 };
 use rustix::process::Signal;
 use serde_json::Value as Json;
@@ -11,7 +11,7 @@ use std::fs;
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Stdio};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// A playground, and a run of these stages there at so many frames per second, which delivers until it is told to end.
 pub fn at_work(text: &str, rate_hz: u32) -> (Playground, Started) {
@@ -32,15 +32,17 @@ pub fn wait_for_lines(run: &mut Started, playground: &Playground) {
     run.wait_until("it delivers", || playground.lines("tracks.jsonl").len() > before + 3);
 }
 
-/// Waits until the source, which makes many messages in a second, has made none for a second: all writers wait.
-pub fn wait_for_standstill(run: &mut Started, playground: &Playground) {
-    let (mut made, mut since) = (0, Instant::now());
+/// Waits until each writer before a stage that was stopped waits for the one after it, and the source has made nothing meanwhile.
+pub fn wait_for_standstill(run: &mut Started, playground: &Playground, stopped: &str) {
+    let last = TRACKING_TOPICS.iter().position(|(_, _, reader)| *reader == stopped).unwrap();
+    let mut made = Json::Null;
     run.wait_until("all writers wait", || {
-        let now = playground.top_stage("source")["messages"].as_u64().unwrap();
-        if now != made {
-            (made, since) = (now, Instant::now());
-        }
-        since.elapsed() > Duration::from_secs(1)
+        let seen = playground.top();
+        let stage =
+            |name: &str| seen["stages"].as_array().unwrap().iter().find(|stage| stage["stage"] == name).unwrap();
+        let all_wait = TRACKING_TOPICS[..=last].iter().all(|(_, writer, reader)| stage(writer)["waits_for"] == *reader);
+        let now = stage("source")["messages"].clone();
+        std::mem::replace(&mut made, now) == made && all_wait
     });
 }
 
@@ -102,7 +104,7 @@ fn a_reader_that_never_reads_keeps_no_run_from_ending() {
     let (playground, mut run) = at_work(TRACKING, 50);
     let reader = stages_of(run.id())["tracker"];
     signal(reader, Signal::STOP);
-    wait_for_standstill(&mut run, &playground);
+    wait_for_standstill(&mut run, &playground, "tracker");
     let waits = |stages: [&str; 2]| format!("`{}` waits for `{}` to take its messages", stages[0], stages[1]);
     assert_eq!(playground.top()["stages"][0]["waits_for"], "extractor");
     run.wait_for_text("nothing has moved for 10 s: ");
@@ -282,7 +284,7 @@ fn a_stage_whose_program_is_away_comes_back_with_it_and_the_others_go_on() {
     let other = "\n[stage.other]\nnode = \"json_sink\"\ninput = \"tracks\"\npath = \"other.jsonl\"\n";
     let playground = Playground::with_pipeline(&format!("{TRACKING}{other}"));
     let (program, away) = (playground.path("conicflow"), playground.path("away"));
-    fs::copy(env!("CARGO_BIN_EXE_conicflow"), &program).unwrap();
+    copy_program(Path::new(env!("CARGO_BIN_EXE_conicflow")), &program);
     let mut run = Started::new(playground.command_of(&program, &["run", "--set", "source.rate_hz=50"]));
     wait_for_lines(&mut run, &playground);
     fs::rename(&program, &away).unwrap();

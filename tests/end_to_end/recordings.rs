@@ -108,7 +108,7 @@ fn a_recording_without_an_index_may_begin_with_much_that_nobody_reads() {
     let header = 8 + 9 + u64::from_le_bytes(recorded[9..17].try_into().unwrap()) as usize;
     let (before, after) = recorded[..recorded.len() - 8].split_at(header);
     fs::write(playground.path("run.mcap"), [before, &channel, &messages, after].concat()).unwrap();
-    let patient = "rate_hz = 0\nrestart = { when = \"on_failure\", hang_s = 1 }\n";
+    let patient = "rate_hz = 0\nrestart = { when = \"on_failure\", hang_s = 2 }\n";
     let text = replay(TRACKING).replacen("rate_hz = 0\n", patient, 1).replace("tracks.jsonl", "again.jsonl");
     playground.write("replay.toml", &text);
     let begun = Instant::now();

@@ -41,7 +41,7 @@ fn fill_all_queues(playground: &Playground, run: &mut Started) {
 /// Stops the last reader, and waits until every writer waits for the one after it.
 fn stall(playground: &Playground, run: &mut Started) {
     signal(stages_of(run.id())["json"], Signal::STOP);
-    wait_for_standstill(run, playground);
+    wait_for_standstill(run, playground, "json");
 }
 
 fn bytes_of(files: &BTreeSet<PathBuf>) -> u64 {

@@ -296,6 +296,11 @@ pub fn read_png(path: &Path) -> (png::OutputInfo, Vec<u8>) {
     (info, bytes)
 }
 
+/// Copies a program by another process: nobody can run what a process that another test just starts has open for writing.
+pub fn copy_program(from: &Path, to: &Path) {
+    assert!(Command::new("cp").args([from, to]).status().unwrap().success());
+}
+
 /// All processes, where the system tells.
 pub fn processes() -> impl Iterator<Item = u32> {
     let entries = fs::read_dir("/proc").into_iter().flatten().flatten();

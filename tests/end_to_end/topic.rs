@@ -31,11 +31,12 @@ fn end_without_loss(mut run: Started, playground: &Playground) -> Ended {
 
 /// The time that processes have had on a processor, in ns.
 fn processor_ns(processes: impl IntoIterator<Item = u32>) -> u64 {
+    // A thread may have ended meanwhile.
     let of_thread = |thread: std::io::Result<DirEntry>| {
-        let text = fs::read_to_string(thread.unwrap().path().join("schedstat")).unwrap();
-        text.split_whitespace().next().unwrap().parse::<u64>().unwrap()
+        let text = fs::read_to_string(thread.ok()?.path().join("schedstat")).ok()?;
+        text.split_whitespace().next()?.parse::<u64>().ok()
     };
-    processes.into_iter().flat_map(|id| fs::read_dir(format!("/proc/{id}/task")).unwrap()).map(of_thread).sum()
+    processes.into_iter().flat_map(|id| fs::read_dir(format!("/proc/{id}/task")).unwrap()).filter_map(of_thread).sum()
 }
 
 /// In one run, without and with somebody who looks on, in an order in which what grows all the time favours neither: what its

@@ -264,10 +264,10 @@ impl Keeper {
 mod tests {
     use super::*;
     use crate::edge_tests::wait_until;
+    use crate::loopback::loopback;
     use conicflow_dataflow::pipeline::Machine;
     use conicflow_ros::IMAGE;
     use conicflow_ros2::{Distro, End, Via};
-    use std::net::TcpListener;
     use zenoh::key_expr::KeyExpr;
     use zenoh::sample::SampleBuilder;
 
@@ -331,7 +331,7 @@ mod tests {
 
     #[test]
     fn what_one_participant_publishes_another_knows_of_and_receives() {
-        let endpoint = vec![format!("tcp/{}", TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap())];
+        let endpoint = vec![loopback()];
         let listening = Machine { listen: endpoint.clone(), insecure: true, ..Machine::default() };
         let connecting = Machine { connect: endpoint, ..Machine::default() };
         let [camera, detector] = [(Way::Publish, listening), (Way::Subscribe(4), connecting)].map(|(way, machine)| {

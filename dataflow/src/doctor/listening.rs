@@ -75,6 +75,7 @@ fn bind(protocol: &str, address: &str) -> io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::clock::until;
 
     #[test]
     fn a_port_that_somebody_has_is_told() {
@@ -84,7 +85,8 @@ mod tests {
         assert!(finding.what.starts_with(&format!("machine `robot` cannot listen on `{endpoint}`: ")), "{finding}");
         assert!(finding.hint.contains("choose another port"), "{finding}");
         drop(holder);
-        assert_eq!(taken("robot", &endpoint), None);
+        // The processes that other tests start have a copy of it until they are other programs.
+        assert!(until(|| taken("robot", &endpoint).is_none()));
     }
 
     #[test]

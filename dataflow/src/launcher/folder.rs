@@ -1,5 +1,6 @@
 //! Where a run keeps its files: one folder per user, in it one per pipeline, and beside them the files of shared memory.
 
+use crate::lock::{Locked, is_shared, lock_within};
 use crate::pause::{PAUSE_FILE, PauseFile};
 use crate::plan::{LAYOUT, Plan};
 use crate::ports::shared_memory::acknowledgements::ENDING as ACKNOWLEDGEMENTS;
@@ -11,7 +12,7 @@ use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::thread::sleep;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// Environment variable: the user's folder, where the default does not suit.
 pub const RUNTIME_DIR: &str = "CONICFLOW_RUNTIME_DIR";
@@ -114,22 +115,15 @@ pub struct RunFolder {
 /// Held as long as a run lasts: no other of the same name can start.
 #[derive(Debug)]
 pub struct RunLock {
-    file: File,
+    file: Locked,
     plan: PathBuf,
 }
 
 impl RunLock {
     /// Whether the folder that it locks is there with the plan of its run: nobody but that run removes either.
     pub(crate) fn is_there(&self) -> bool {
-        let is_linked = self.file.metadata().is_ok_and(|about| about.nlink() > 0);
+        let is_linked = self.file.0.metadata().is_ok_and(|about| about.nlink() > 0);
         is_linked && self.plan.exists()
-    }
-}
-
-impl Drop for RunLock {
-    fn drop(&mut self) {
-        // A process that another thread starts has a copy of the lock until it is another program.
-        self.file.unlock().ok();
     }
 }
 
@@ -207,15 +201,23 @@ impl RunFolder {
     /// # Errors
     /// Another run has it, or stages of another run stay.
     pub fn lock(&self, name: &str) -> Result<RunLock, FolderError> {
+        self.lock_pausing(name, || sleep(Duration::from_millis(10)))
+    }
+
+    /// The same, with the pause after which it looks again whether others have let go of it.
+    fn lock_pausing(&self, name: &str, mut pause: impl FnMut()) -> Result<RunLock, FolderError> {
         let (path, file) = self.open_lock("lock")?;
-        if !lock_within(LOOK_GRACE, &file, is_only_looked_at).map_err(FolderError::at(&path))? {
+        let run = RunLock { file: Locked(file), plan: self.path.join(PLAN) };
+        // Those who only look share it.
+        if !lock_within(LOOK_GRACE, &run.file.0, is_shared, &mut pause).map_err(FolderError::at(&path))? {
             return Err(FolderError::Running { name: name.to_owned() });
         }
         let (path, stages) = self.open_lock("stages.lock")?;
-        if !lock_within(LAST_STAGES_GRACE, &stages, |_| true).map_err(FolderError::at(&path))? {
+        let stages = Locked(stages);
+        if !lock_within(LAST_STAGES_GRACE, &stages.0, |_| true, pause).map_err(FolderError::at(&path))? {
             return Err(FolderError::Occupied { name: name.to_owned() });
         }
-        Ok(RunLock { file, plan: self.path.join(PLAN) })
+        Ok(run)
     }
 
     /// Whether a run has the folder now.
@@ -356,26 +358,6 @@ impl RunFolder {
     }
 }
 
-/// Takes a lock, and waits so long for those who have it, if they are worth waiting for; whether it was taken.
-fn lock_within(grace: Duration, lock: &File, is_worth_waiting: impl Fn(&File) -> bool) -> io::Result<bool> {
-    let deadline = Instant::now() + grace;
-    loop {
-        match lock.try_lock() {
-            Ok(()) => return Ok(true),
-            Err(TryLockError::WouldBlock) if Instant::now() < deadline && is_worth_waiting(lock) => {
-                sleep(Duration::from_millis(10));
-            }
-            Err(TryLockError::WouldBlock) => return Ok(false),
-            Err(TryLockError::Error(error)) => return Err(error),
-        }
-    }
-}
-
-/// Whether those who keep this from taking the lock only look: they share it. It is let go of again.
-fn is_only_looked_at(lock: &File) -> bool {
-    lock.try_lock_shared().is_ok_and(|()| lock.unlock().is_ok())
-}
-
 /// The folder of this user in which all runs have theirs, whether it is there or not.
 pub fn user_folder() -> PathBuf {
     let path_in = |variable: &str| std::env::var_os(variable).map(PathBuf::from);
@@ -436,12 +418,14 @@ pub(super) mod tests {
         let folder = folder_at(files.path());
         let (_, looker) = folder.open_lock("lock").unwrap();
         looker.lock_shared().unwrap();
-        let looks = std::thread::spawn(move || {
-            sleep(Duration::from_millis(400));
-            drop(looker);
+        let mut looks = 0..5;
+        let lock = folder.lock_pausing("tracking", || {
+            if looks.next().is_none() {
+                looker.unlock().unwrap();
+            }
         });
-        let lock = folder.lock("tracking").unwrap();
-        looks.join().unwrap();
+        let lock = lock.unwrap();
+        assert!(looks.is_empty());
         assert!(folder.is_running());
         assert!(matches!(folder.lock("tracking"), Err(FolderError::Running { name }) if name == "tracking"));
         drop(lock);
@@ -503,12 +487,12 @@ pub(super) mod tests {
         let files = tempfile::tempdir().unwrap();
         let folder = folder_at(files.path());
         let stage = folder.join().unwrap();
-        let ends = std::thread::spawn(move || {
-            sleep(Duration::from_millis(50));
-            drop(stage);
+        let mut is_waited_for = false;
+        let lock = folder.lock_pausing("tracking", || {
+            is_waited_for = true;
+            stage.unlock().unwrap();
         });
-        folder.lock("tracking").unwrap();
-        ends.join().unwrap();
+        assert!(lock.is_ok() && is_waited_for);
     }
 
     #[test]

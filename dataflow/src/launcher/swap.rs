@@ -316,7 +316,7 @@ mod tests {
             (Swap { request, step: Step::Leaving(successor), since }, process)
         };
         let mut state = run.state(Phase::Running);
-        let before = leaving(15).0.go_on(std::slice::from_mut(&mut stage), &mut state).unwrap();
+        let before = leaving(0).0.go_on(std::slice::from_mut(&mut stage), &mut state).unwrap();
         assert!(answers(&mut stage) && matches!(before.step, Step::Leaving(_)), "it has time left");
         before.abandon(state.folder);
         let (swap, successor) = leaving(31);
@@ -510,9 +510,16 @@ mod tests {
         let files = tempfile::tempdir().unwrap();
         let (control, input) = UnixStream::pair().unwrap();
         let mut command = Command::new("sh");
-        command.args(["-c", "read -r turn; : > in_order"]).current_dir(files.path()).stdin(OwnedFd::from(input));
-        let child = command.spawn().unwrap();
-        Successor { process: child.into(), control }.dismiss();
+        let (input, output) = (OwnedFd::from(input.try_clone().unwrap()), OwnedFd::from(input));
+        command
+            .args(["-c", "printf r; read -r turn; : > in_order"])
+            .current_dir(files.path())
+            .stdin(input)
+            .stdout(output);
+        let mut successor = Successor { process: command.spawn().unwrap().into(), control };
+        drop(command);
+        assert_eq!(successor.is_ready(), Ok(true));
+        successor.dismiss();
         assert!(files.path().join("in_order").exists());
     }
 

@@ -18,6 +18,8 @@ use std::time::Duration;
 
 /// Environment variable: this process is to replace another of the same stage.
 pub(crate) const SUCCESSOR: &str = "CONICFLOW_SUCCESSOR";
+/// A successor waits so long for the first message of writers whose loss of one would be no fault.
+const PATIENCE_WITH_WRITERS: Duration = Duration::from_secs(1);
 /// How often one who waits looks whether it is still to wait.
 const LOOK: Duration = Duration::from_millis(20);
 
@@ -82,6 +84,7 @@ fn write(path: &Path, mark: &Watermark) -> io::Result<()> {
 pub(crate) struct Successor {
     pub(crate) handover: Handover,
     launcher: UnixStream,
+    pub(super) patience: Duration,
 }
 
 impl Successor {
@@ -92,7 +95,7 @@ impl Successor {
         }
         let launcher = UnixStream::from(io::stdin().as_fd().try_clone_to_owned()?);
         launcher.set_read_timeout(Some(LOOK))?;
-        Ok(Some(Self { handover: handover.clone(), launcher }))
+        Ok(Some(Self { handover: handover.clone(), launcher, patience: PATIENCE_WITH_WRITERS }))
     }
 
     /// Says that it is ready, and receives everything from `first` on. A launcher that wants it no more does not listen; who
@@ -133,11 +136,12 @@ pub(super) mod tests {
     use super::*;
     use std::cell::Cell;
 
-    /// A successor, and the end of its launcher.
+    /// A successor that waits for ever for the first message of each writer, and the end of its launcher.
     pub(in super::super) fn successor(folder: &Path, stage: &str) -> (Successor, UnixStream) {
         let (launcher, end) = UnixStream::pair().unwrap();
         end.set_read_timeout(Some(LOOK)).unwrap();
-        (Successor { handover: Handover::of(folder, stage), launcher: end }, launcher)
+        let (handover, patience) = (Handover::of(folder, stage), Duration::from_secs(3600));
+        (Successor { handover, launcher: end, patience }, launcher)
     }
 
     fn mark(number: u64) -> Watermark {

@@ -197,7 +197,7 @@ impl<W: Writer> OutputPort<W> {
         // Ends take the place of messages that are kept.
         self.await_finish();
         let (mut telling, mut looked) = (Telling::until(Instant::now() + PATIENCE_WITH_LIVE_READERS), Instant::now());
-        while !self.stop.forced() && !self.tell(ends, &mut telling)? {
+        while !self.stop.forced() && !self.tell(ends, &mut telling, Instant::now())? {
             match &mut self.port {
                 // One that was killed, and does not come again, is there until somebody clears it away.
                 Some((writer, _)) if looked.elapsed() > TELL_END => {
@@ -210,8 +210,8 @@ impl<W: Writer> OutputPort<W> {
         Ok(())
     }
 
-    /// Tells the ends to readers that came since the last look; whether all that were to know of them do, and are gone.
-    pub(super) fn tell(&mut self, ends: &[Header], telling: &mut Telling) -> Result<bool, PortError> {
+    /// Tells the ends to readers that came since the last look; whether all that were to know of them do, and are gone `now`.
+    pub(super) fn tell(&mut self, ends: &[Header], telling: &mut Telling, now: Instant) -> Result<bool, PortError> {
         let Some((writer, topic)) = &mut self.port else { return Ok(true) };
         let connected = writer.connected();
         // A stage that was started anew between two looks has not been told, whatever its name.
@@ -220,9 +220,9 @@ impl<W: Writer> OutputPort<W> {
         let may_have_missed = |reader: &ConnectedReader| topic.delivery_to(&reader.stage) == Delivery::Latest;
         let is_due = topic.is_lossless()
             && connected.iter().any(may_have_missed)
-            && telling.last.is_some_and(|last| last.elapsed() > TELL_END);
+            && telling.last.is_some_and(|last| now.duration_since(last) > TELL_END);
         if is_new || is_due {
-            telling.last = Some(Instant::now());
+            telling.last = Some(now);
             ends.iter().try_for_each(|end| writer.send(end).map(drop))?;
         }
         telling.told.extend(connected.iter().map(|reader| reader.stage.clone()));
@@ -233,7 +233,7 @@ impl<W: Writer> OutputPort<W> {
         let is_told = |reader: &TopicReader| ends_alone(&reader.stage) && telling.told.contains(&reader.stage);
         let all_told = self.absent_readers(false).all(is_told);
         let is_waited_for = self.behind(|_| 1).next().is_some();
-        if connected.is_empty() && !is_waited_for && (all_told || Instant::now() > telling.deadline) {
+        if connected.is_empty() && !is_waited_for && (all_told || now > telling.deadline) {
             return Ok(true);
         }
         connected.iter().for_each(|reader| self.stop.wait_for(&reader.stage));

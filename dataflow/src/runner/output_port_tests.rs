@@ -117,12 +117,12 @@ fn a_reader_that_has_ended_is_not_waited_for() {
 #[test]
 fn what_was_to_be_sent_is_sent_when_the_reader_comes_that_was_waited_for() {
     let mut trial = Trial::new(&[("sink", Delivery::Lossless)], 0);
+    let record = watched(&trial);
     let (memory, topic, stop) = (trial.memory.clone(), trial.topic.clone(), trial.stop.clone());
     thread::scope(|scope| {
         let _end = AtOnce(stop.clone());
         let sending = scope.spawn(|| trial.send());
-        thread::sleep(Duration::from_millis(50));
-        assert!(!sending.is_finished());
+        assert!(until(|| waits_for(&record) == "sink"));
         let mut reader = memory.reader::<Object>(&topic, "sink").unwrap();
         sending.join().unwrap().unwrap();
         assert_eq!(waiting(&mut reader), [0]);
@@ -132,11 +132,12 @@ fn what_was_to_be_sent_is_sent_when_the_reader_comes_that_was_waited_for() {
 #[test]
 fn who_waits_for_a_reader_for_a_moment_warns_nobody() {
     let mut trial = Trial::new(&[("sink", Delivery::Lossless)], 3);
+    let record = watched(&trial);
     let (memory, topic, stop) = (trial.memory.clone(), trial.topic.clone(), trial.stop.clone());
     thread::scope(|scope| {
         let _end = AtOnce(stop);
         let reading = scope.spawn(move || {
-            thread::sleep(Duration::from_millis(50));
+            assert!(until(|| waits_for(&record) == "sink"));
             memory.reader::<Object>(&topic, "sink").unwrap()
         });
         assert_eq!(logged(Level::WARN, || trial.send().unwrap()), "");
@@ -273,11 +274,11 @@ fn the_end_is_told_when_all_that_was_sent_is_finished() {
     let mut reader = trial.reader("sink");
     (0..2).for_each(|_| trial.send().unwrap());
     assert_eq!(waiting(&mut reader), [0, 1]);
-    let stop = trial.stop.clone();
+    let (record, stop) = (watched(&trial), trial.stop.clone());
     thread::scope(|scope| {
         let _end = AtOnce(stop.clone());
         let ending = scope.spawn(|| trial.output_port.end());
-        thread::sleep(Duration::from_millis(200));
+        assert!(until(|| waits_for(&record) == "sink"));
         assert_eq!(ends(&mut reader), [], "what is kept for a reader goes with this process");
         reader.acknowledge(Text::new("stage"), 2);
         let mut told = Vec::new();
@@ -348,14 +349,13 @@ fn the_end_is_told_again_now_and_then_where_it_may_have_been_lost() {
         let mut trial = Trial::new(readers, 0);
         let mut reader = trial.reader(present);
         let end = [end_of_stream(&header(), Text::new("stage"), 0)];
-        let mut telling = Telling::until(Instant::now() + Duration::from_secs(3600));
-        let mut look = || {
-            assert!(!trial.output_port.tell(&end, &mut telling).unwrap(), "it is there");
+        let begin = Instant::now();
+        let mut telling = Telling::until(begin);
+        [0, 100, 101].map(|passed_ms| {
+            let now = begin + Duration::from_millis(passed_ms);
+            assert!(!trial.output_port.tell(&end, &mut telling, now).unwrap(), "it is there");
             ends(&mut reader).len()
-        };
-        let (first, next) = (look(), look());
-        thread::sleep(Duration::from_millis(150));
-        [first, next, look()]
+        })
     };
     let (all, newest) = (("sink", Delivery::Lossless), ("viewer", Delivery::Latest));
     assert_eq!(told(&[all, newest], "viewer"), [1, 0, 1]);
@@ -366,16 +366,17 @@ fn the_end_is_told_again_now_and_then_where_it_may_have_been_lost() {
 #[test]
 fn who_never_came_is_waited_for_until_the_deadline_and_who_has_not_finished_beyond_that() {
     let end = [end_of_stream(&header(), Text::new("stage"), 0)];
-    let (past, future) = (Instant::now(), Instant::now() + Duration::from_secs(3600));
+    let deadline = Instant::now();
+    let times = [deadline, deadline + Duration::from_nanos(1)];
     let mut trial = Trial::new(&[("sink", Delivery::Latest)], 3);
-    let mut is_over = |deadline| trial.output_port.tell(&end, &mut Telling::until(deadline)).unwrap();
-    assert_eq!([future, past].map(&mut is_over), [false, true]);
+    let mut is_over = |now| trial.output_port.tell(&end, &mut Telling::until(deadline), now).unwrap();
+    assert_eq!(times.map(&mut is_over), [false, true]);
     let mut trial = Trial::new(&[("sink", Delivery::Lossless)], 0);
     let killed = trial.reader("sink");
     trial.send().unwrap();
     drop(killed);
-    let mut is_over = |deadline| trial.output_port.tell(&end, &mut Telling::until(deadline)).unwrap();
-    assert_eq!([future, past].map(&mut is_over), [false, false]);
+    let mut is_over = |now| trial.output_port.tell(&end, &mut Telling::until(deadline), now).unwrap();
+    assert_eq!(times.map(&mut is_over), [false, false]);
 }
 
 #[test]

@@ -268,6 +268,8 @@ mod tests {
     #[test]
     fn a_step_waits_for_a_message_of_its_frame_that_is_on_its_way_where_none_may_be_lost() {
         let (mut side, mut writer) = joined(Pairing::SameFrame, Delivery::Lossless);
+        assert_eq!(side.patience, ON_ITS_WAY);
+        side.patience = Duration::from_secs(3600);
         thread::scope(|scope| {
             scope.spawn(|| {
                 thread::sleep(Duration::from_millis(50));

@@ -14,7 +14,6 @@ use crate::status::{InputCounts, Life, StatusFile, status_path};
 use conicflow_messages::{Object, Text};
 use std::fs;
 use std::io::Write;
-use std::thread;
 use std::time::Duration;
 
 #[test]
@@ -89,13 +88,15 @@ fn a_successor_for_which_nothing_is_kept_works_on_what_it_has_heard_where_its_pr
 }
 
 #[test]
-fn a_successor_waits_for_the_first_message_for_a_second_or_as_long_as_it_takes_where_none_may_be_lost() {
-    let is_ready_at_once_and_then = |delivery| {
+fn a_successor_waits_for_the_first_message_for_a_while_or_as_long_as_it_takes_where_none_may_be_lost() {
+    let is_ready_without = |delivery, patience: Duration| {
         let trial = Trial::of("stage");
         let wiring = Wiring { input: Some(trial.input(delivery)), ..Wiring::default() };
-        let (next, mut launcher) = successor(trial.folder.path(), "stage");
+        let (mut next, mut launcher) = successor(trial.folder.path(), "stage");
+        next.patience = patience;
         let (result, ready) = trial.run_after::<Passing, _>(wiring, Some(next), || {
-            let ready = [SHORT, Duration::from_millis(1500)].map(|patience| is_ready(&mut launcher, patience));
+            let is_late = patience.is_zero() && delivery == Delivery::Latest;
+            let ready = is_ready(&mut launcher, if is_late { LONG } else { SHORT });
             drop(launcher);
             ready
         });
@@ -103,11 +104,9 @@ fn a_successor_waits_for_the_first_message_for_a_second_or_as_long_as_it_takes_w
         assert!(trial.is_unwritten(), "it was not wanted any more");
         ready
     };
-    thread::scope(|scope| {
-        let lossless = scope.spawn(|| is_ready_at_once_and_then(Delivery::Lossless));
-        assert_eq!(is_ready_at_once_and_then(Delivery::Latest), [false, true]);
-        assert_eq!(lossless.join().unwrap(), [false, false]);
-    });
+    let patiences = [Duration::ZERO, LONG];
+    assert_eq!(patiences.map(|patience| is_ready_without(Delivery::Latest, patience)), [true, false]);
+    assert_eq!(patiences.map(|patience| is_ready_without(Delivery::Lossless, patience)), [false, false]);
 }
 
 #[test]

@@ -8,10 +8,7 @@ use super::{RunError, StageRuntime};
 use crate::ports::{Delivery, Topic, Transport};
 use crate::stage::Context;
 use conicflow_messages::Nothing;
-use std::time::{Duration, Instant};
-
-/// A successor waits so long for the first message of writers whose loss of one would be no fault.
-const PATIENCE_WITH_WRITERS: Duration = Duration::from_secs(1);
+use std::time::Instant;
 
 /// Makes the stage ready while the one that it replaces is at work, so that what cannot begin never takes a place. A sink
 /// is made on trial, and anew in its place: two that are at work on one file would spoil it.
@@ -59,7 +56,7 @@ fn buffers_all<T: Transport>(
     runtime: &StageRuntime<T>,
     topic: &Topic,
 ) -> Result<bool, RunError> {
-    let deadline = Instant::now() + PATIENCE_WITH_WRITERS;
+    let deadline = Instant::now() + successor.patience;
     let lossless = |topic: &Topic| topic.delivery_to(&runtime.context.stage) == Delivery::Lossless;
     let is_over = |writer: &String| runtime.peers.is_over(writer);
     loop {

@@ -188,14 +188,14 @@ fn until_the_end(mut reader: MemoryReader) -> u64 {
 #[test]
 fn a_reader_that_comes_anew_between_two_looks_is_told_the_end_too() {
     let (memory, topic, mut output_port) = ending("sink", Peers::default());
-    let first = memory.reader::<Object>(&topic, "sink").unwrap();
-    thread::scope(|scope| {
-        let ending = scope.spawn(move || output_port.end());
-        assert_eq!(until_the_end(first), 3);
-        // The next process of the same stage is there before the writer looks again.
-        assert_eq!(until_the_end(memory.reader::<Object>(&topic, "sink").unwrap()), 3);
-        ending.join().unwrap().unwrap();
-    });
+    let (end, now) = ([end_of_stream(&header(3), Text::new("stage"), 3)], Instant::now());
+    let mut telling = Telling::until(now);
+    for process in ["first", "second"] {
+        let present = memory.reader::<Object>(&topic, "sink").unwrap();
+        assert!(!output_port.tell(&end, &mut telling, now).unwrap(), "the {process} is there");
+        assert_eq!(until_the_end(present), 3);
+    }
+    assert!(output_port.tell(&end, &mut telling, now).unwrap());
 }
 
 #[test]
@@ -203,29 +203,29 @@ fn a_reader_that_was_told_the_end_and_killed_is_waited_for_and_told_again() {
     static IS_OVER: AtomicBool = AtomicBool::new(false);
     let life = |_: &str| Some(if IS_OVER.load(Ordering::Relaxed) { Life::Ended } else { Life::Running });
     let (memory, topic, mut output_port) = ending("sink", Peers::modelled(life));
-    let end = [end_of_stream(&header(3), Text::new("stage"), 3)];
-    let mut telling = Telling::until(Instant::now() + Duration::from_secs(3600));
+    let (end, now) = ([end_of_stream(&header(3), Text::new("stage"), 3)], Instant::now());
+    let mut telling = Telling::until(now + Duration::from_secs(3600));
     for process in ["first", "second"] {
         let present = memory.reader::<Object>(&topic, "sink").unwrap();
-        assert!(!output_port.tell(&end, &mut telling).unwrap(), "the {process} is there");
+        assert!(!output_port.tell(&end, &mut telling, now).unwrap(), "the {process} is there");
         assert_eq!(until_the_end(present), 3);
-        assert!(!output_port.tell(&end, &mut telling).unwrap(), "the launcher is about to start that stage anew");
+        assert!(!output_port.tell(&end, &mut telling, now).unwrap(), "the launcher is about to start that stage anew");
     }
     IS_OVER.store(true, Ordering::Relaxed);
-    assert!(output_port.tell(&end, &mut telling).unwrap());
+    assert!(output_port.tell(&end, &mut telling, now).unwrap());
 }
 
 #[test]
 fn the_bridge_which_may_have_other_topics_is_not_waited_for_when_it_was_told_the_end_and_has_left() {
     let leaves_at_once = |reader: &str| {
         let (memory, topic, mut output_port) = ending(reader, Peers::modelled(|_| Some(Life::Running)));
-        let end = [end_of_stream(&header(3), Text::new("stage"), 3)];
-        let mut telling = Telling::until(Instant::now() + Duration::from_secs(3600));
-        assert!(!output_port.tell(&end, &mut telling).unwrap(), "it has not come");
+        let (end, now) = ([end_of_stream(&header(3), Text::new("stage"), 3)], Instant::now());
+        let mut telling = Telling::until(now + Duration::from_secs(3600));
+        assert!(!output_port.tell(&end, &mut telling, now).unwrap(), "it has not come");
         let present = memory.reader::<Object>(&topic, reader).unwrap();
-        assert!(!output_port.tell(&end, &mut telling).unwrap(), "it is there");
+        assert!(!output_port.tell(&end, &mut telling, now).unwrap(), "it is there");
         assert_eq!(until_the_end(present), 3);
-        output_port.tell(&end, &mut telling).unwrap()
+        output_port.tell(&end, &mut telling, now).unwrap()
     };
     assert_eq!(["bridge", "sink"].map(leaves_at_once), [true, false]);
 }

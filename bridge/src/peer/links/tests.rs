@@ -283,6 +283,19 @@ fn a_machine_that_an_earlier_process_has_heard_counts_as_heard_when_this_one_beg
 }
 
 #[test]
+fn a_machine_is_silent_since_somebody_waits_for_it_or_since_the_beginning_where_it_was_never_heard() {
+    let secret = secret();
+    let (mut robot, base, hour) = (robot(1, &secret), base(2, &secret), Duration::from_secs(3600));
+    robot.started = Instant::now().checked_sub(hour).unwrap();
+    let is_silent = |since| robot.silence("base", since) >= hour;
+    let now = Instant::now();
+    assert!(is_silent(now), "who has waited for it in vain waits no longer");
+    talk(&robot, &base);
+    assert!(!is_silent(now));
+    assert!(!is_silent(robot.started));
+}
+
+#[test]
 fn repeated_heartbeats_do_not_keep_the_present_session_from_being_told_of() {
     let secret = secret();
     let base = base(100, &secret);

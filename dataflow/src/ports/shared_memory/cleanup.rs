@@ -7,10 +7,10 @@
 //! touched. What its maker died over before it was whole would stop for ever who opens it: it is removed before a process joins,
 //! and while a run lasts.
 
+use crate::lock::{Locked, is_shared, lock_within};
 use crate::ports::capacity::SHARED_MEMORY;
 use crate::stage::Stop;
-use rustix::fs::{FlockOperation, Mode, flock};
-use rustix::io::Errno;
+use rustix::fs::Mode;
 use std::fs::{self, File, Metadata, OpenOptions, Permissions};
 use std::io::{self, ErrorKind};
 use std::os::fd::AsRawFd;
@@ -19,7 +19,8 @@ use std::path::{Path, PathBuf};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-/// A process that was killed still has its locks and its files for so long, on a machine with much to do.
+/// A process that was killed still has its locks and its files for so long, on a machine with much to do, and one that looks for
+/// litter the lock.
 const LETTING_GO: Duration = Duration::from_secs(1);
 
 const LOCK: &str = "lock";
@@ -53,7 +54,7 @@ fn fnv_1a(bytes: &[u8]) -> u32 {
 pub(super) struct Occupied {
     root: PathBuf,
     prefix: String,
-    lock: File,
+    lock: Locked,
     stop: Stop,
 }
 
@@ -61,8 +62,8 @@ impl Occupied {
     /// Says that this process uses the folder. Where `stop` is forced by the time that it leaves, those who use the folder then
     /// may have been killed, and would leave nothing in order any more: it waits until they are gone.
     pub(super) fn new(root: &Path, stop: Stop) -> io::Result<Self> {
-        let lock = File::create(root.join(LOCK))?;
-        lock.lock_shared()?;
+        let lock = Locked(File::create(root.join(LOCK))?);
+        lock.0.lock_shared()?;
         Ok(Self { root: root.to_owned(), prefix: prefix(root)?, lock, stop })
     }
 
@@ -100,22 +101,28 @@ impl Occupied {
     /// Removes all that users of the folder have left in it and in shared memory, if no other uses it: for one that is about
     /// to leave, because it may have lost its lock afterwards.
     pub(super) fn clean_up(&self) -> io::Result<()> {
-        let patience = if self.stop.forced() { LETTING_GO } else { Duration::ZERO };
-        let deadline = Instant::now() + patience;
-        loop {
-            match flock(&self.lock, FlockOperation::NonBlockingLockExclusive) {
-                Err(Errno::WOULDBLOCK) if Instant::now() < deadline => sleep(Duration::from_millis(5)),
-                Err(Errno::WOULDBLOCK) => return Ok(()),
-                locked => break locked?,
-            }
+        self.clean_up_within(LETTING_GO, || sleep(Duration::from_millis(1)))
+    }
+
+    /// The same, with how long it waits for others, and the pause after which it looks again.
+    fn clean_up_within(&self, grace: Duration, mut pause: impl FnMut()) -> io::Result<()> {
+        // Who exchanges his share of the lock for the whole gives it back first, and one that just looks for litter may have got
+        // it. Those who share it use the folder, or find out the same at the same time, and have let go of it a moment later.
+        let mut shared = 0;
+        let is_worth_waiting = |lock: &File| {
+            shared += u32::from(is_shared(lock));
+            self.stop.forced() || shared < 2 // [derived]
+        };
+        if !lock_within(grace, &self.lock.0, is_worth_waiting, &mut pause)? {
+            return Ok(());
         }
         let remove = |path: &Path, is_folder| if is_folder { fs::remove_dir_all(path) } else { fs::remove_file(path) };
         for_each_entry(&self.root, |name| name != LOCK, remove)?;
         // A folder that was deleted under a live run may have left its number to this one.
-        let (own, deadline) = (|name: &str| name.starts_with(&self.prefix), Instant::now() + LETTING_GO);
+        let (own, deadline) = (|name: &str| name.starts_with(&self.prefix), Instant::now() + grace);
         for_each_entry(Path::new(SHARED_MEMORY), own, |path, _| {
             while is_own(path)? && !remove_unused(path)? && Instant::now() < deadline {
-                sleep(Duration::from_millis(1));
+                pause();
             }
             Ok(())
         })
@@ -126,8 +133,6 @@ impl Drop for Occupied {
     fn drop(&mut self) {
         // What cannot be removed is found by the next run, or by `doctor`.
         self.clean_up().ok();
-        // A process that another thread starts has a copy of the lock until it is another program.
-        self.lock.unlock().ok();
     }
 }
 
@@ -210,8 +215,9 @@ pub(super) fn is_unused(file: &File) -> bool {
 
 /// Whether something of the folder's users is left, in it or in shared memory, and nobody uses it.
 pub(super) fn is_littered(root: &Path) -> bool {
-    let unused = File::open(root.join(LOCK)).is_ok_and(|file| file.try_lock().is_ok());
-    unused && (has_entry(root, |name| name != LOCK) || prefix(root).is_ok_and(|own| has_shared_file(&own)))
+    let Ok(lock) = File::open(root.join(LOCK)).map(Locked) else { return false };
+    lock.0.try_lock().is_ok()
+        && (has_entry(root, |name| name != LOCK) || prefix(root).is_ok_and(|own| has_shared_file(&own)))
 }
 
 fn has_shared_file(prefix: &str) -> bool {
@@ -227,7 +233,7 @@ fn has_entry(folder: &Path, which: impl Fn(&str) -> bool) -> bool {
 pub(super) fn for_each_entry(
     folder: &Path,
     which: impl Fn(&str) -> bool,
-    act: impl Fn(&Path, bool) -> io::Result<()>,
+    mut act: impl FnMut(&Path, bool) -> io::Result<()>,
 ) -> io::Result<()> {
     let unless_gone = |error: io::Error| if error.kind() == ErrorKind::NotFound { Ok(()) } else { Err(error) };
     let entries = match fs::read_dir(folder) {
@@ -248,7 +254,8 @@ mod tests {
     use super::*;
     use crate::clock::until;
     use rustix::thread::{CapabilitySet, capabilities, set_capabilities};
-    use std::sync::mpsc::channel;
+
+    const LONG: Duration = Duration::from_secs(20);
 
     /// What a process that was killed may leave: half a node in the folder, half a segment in shared memory.
     fn litter(root: &Path) -> [PathBuf; 2] {
@@ -312,7 +319,7 @@ mod tests {
         assert!(path.exists(), "it is nobody else's yet, and not for ever waited for");
         drop(maker);
         // The processes that other tests start have what is open here open until they are other programs.
-        occupied.settle(Duration::from_secs(20)).unwrap();
+        occupied.settle(LONG).unwrap();
         assert!(!path.exists(), "its maker is gone");
 
         let (path, maker) = begin(folder.path());
@@ -320,11 +327,11 @@ mod tests {
             sleep(Duration::from_millis(50));
             maker.set_permissions(Permissions::from_mode(0o600)).unwrap();
         });
-        occupied.settle(Duration::from_secs(20)).unwrap();
+        occupied.settle(LONG).unwrap();
         assert_eq!(fs::metadata(&path).unwrap().mode() & 0o777, 0o600, "waited for until it is whole");
         making.join().unwrap();
         occupied.settle(Duration::ZERO).unwrap();
-        assert!(settle(&path).unwrap() && path.exists(), "nobody has it open, and it is whole");
+        assert!(until(|| settle(&path).unwrap()) && path.exists(), "nobody has it open, and it is whole");
     }
 
     #[test]
@@ -340,7 +347,7 @@ mod tests {
             sleep(Duration::from_millis(50));
             drop(held);
         });
-        occupied.settle(Duration::from_secs(20)).unwrap();
+        occupied.settle(LONG).unwrap();
         looking.join().unwrap();
         assert!(!path.exists(), "its maker is gone");
     }
@@ -381,21 +388,34 @@ mod tests {
     fn who_leaves_a_run_that_is_over_waits_for_those_who_are_just_killed() {
         let folder = tempfile::tempdir().unwrap();
         let stop = Stop::default();
-        let (killed, last) = (
-            Occupied::new(folder.path(), Stop::default()).unwrap(),
-            Occupied::new(folder.path(), stop.clone()).unwrap(),
-        );
+        let killed = File::create(folder.path().join(LOCK)).unwrap();
+        killed.lock_shared().unwrap();
+        let last = Occupied::new(folder.path(), stop.clone()).unwrap();
         let left = litter(folder.path());
-        // It ends a moment later, and removes nothing.
-        let dying = std::thread::spawn(move || {
-            sleep(Duration::from_millis(50));
-            flock(&killed.lock, FlockOperation::Unlock).unwrap();
-            std::mem::forget(killed);
-        });
+        last.clean_up_within(LONG, || ()).unwrap();
+        assert!(left.iter().all(|path| path.exists()), "somebody uses the folder");
         stop.force();
-        drop(last);
+        let mut looks = 0..5;
+        let pause = || {
+            if looks.next().is_none() {
+                killed.unlock().unwrap();
+            }
+        };
+        last.clean_up_within(LONG, pause).unwrap();
         assert!(left.iter().all(|path| !path.exists()));
-        dying.join().unwrap();
+    }
+
+    #[test]
+    fn who_leaves_at_the_moment_when_somebody_looks_for_litter_waits_for_that() {
+        let folder = tempfile::tempdir().unwrap();
+        let last = Occupied::new(folder.path(), Stop::default()).unwrap();
+        let left = litter(folder.path());
+        // As where somebody looks while this one exchanges its share of the lock for the whole.
+        last.lock.0.unlock().unwrap();
+        let looker = File::open(folder.path().join(LOCK)).unwrap();
+        looker.lock().unwrap();
+        last.clean_up_within(LONG, || looker.unlock().unwrap()).unwrap();
+        assert!(left.iter().all(|path| !path.exists()));
     }
 
     #[test]
@@ -403,14 +423,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let last = Occupied::new(folder.path(), Stop::default()).unwrap();
         let [_, segment] = litter(folder.path());
-        let held = File::open(&segment).unwrap();
-        let dying = std::thread::spawn(move || {
-            sleep(Duration::from_millis(50));
-            drop(held);
-        });
-        drop(last);
-        assert!(!segment.exists());
-        dying.join().unwrap();
+        let mut held = Some(File::open(&segment).unwrap());
+        last.clean_up_within(LONG, || drop(held.take())).unwrap();
+        assert!(held.is_none() && !segment.exists());
     }
 
     #[test]
@@ -419,16 +434,13 @@ mod tests {
         let last = Occupied::new(folder.path(), Stop::default()).unwrap();
         let [_, segment] = litter(folder.path());
         let held = File::open(&segment).unwrap();
-        let (left, has_left) = channel();
-        let leaving = std::thread::spawn(move || {
-            drop(last);
-            left.send(()).unwrap();
-        });
-        assert!(has_left.recv_timeout(Duration::from_secs(20)).is_ok(), "it is waited for as long as it is open");
+        let begin = Instant::now();
+        let pause = || assert!(begin.elapsed() < LONG, "it is waited for as long as it is open");
+        last.clean_up_within(Duration::from_millis(20), pause).unwrap();
         assert!(segment.exists());
         drop(held);
-        leaving.join().unwrap();
-        drop(Occupied::new(folder.path(), Stop::default()).unwrap());
+        // The processes that other tests start have what is open here open until they are other programs.
+        last.clean_up_within(LONG, || ()).unwrap();
         assert!(!segment.exists());
     }
 

@@ -320,7 +320,8 @@ impl Process {
         let forgets = memory(|memory| memory.fault == Fault::EndWithoutNumber);
         let count = if forgets { 0 } else { self.sent };
         let end = end_of_stream(&Header::default(), Text::new(STAGES[self.stage]), count);
-        let told = self.output().tell(&[end], &mut self.telling).expect("the model's memory does not fail");
+        let told =
+            self.output().tell(&[end], &mut self.telling, Instant::now()).expect("the model's memory does not fail");
         self.at = if told { At::Told } else { self.at };
         self.await_sight();
     }
