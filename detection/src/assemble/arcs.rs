@@ -340,7 +340,7 @@ impl Arcs {
 mod tests {
     use super::super::tests::{arcs_from, arcs_of, ellipses_of_a_can, rows_of, straight, wall};
     use super::*;
-    use conicflow_geometry::{Conical, FixedSlope, Sphere, Surface as _, section_of};
+    use conicflow_geometry::{Conical, Sphere, Surface as _, section_of};
     use conicflow_lab::rendered::{KINECT_HALF, sphere};
     use conicflow_messages::NoiseModel;
     use std::f64::consts::PI;
@@ -404,7 +404,7 @@ mod tests {
             let points: Vec<_> = (0..20).map(|i| [f64::from(i) / 290.0 * away(i), plane.stretch() * away(i)]).collect();
             let moments = PlaneMoments::of([0.05, 0.9], points.iter().copied());
             let ellipse = Ellipse { origin: moments.origin(), moments: *moments.sums(), ..straight(line, 160, 0.0) };
-            let found = arcs_from(&[ellipse]).arcs[0].misfit(&FixedSlope(can).coefficients());
+            let found = arcs_from(&[ellipse]).arcs[0].misfit(&can.coefficients());
             let mean = |of: &dyn Fn(f64) -> f64| {
                 points.iter().map(|point| of(off(&can, &plane.to_camera(*point)))).sum::<f64>() / 20.0
             };
@@ -418,7 +418,7 @@ mod tests {
         let can = leaning();
         let mut met = [0; 2];
         for arc in &arcs_from(&[0, 60, 120, 180, 239].map(|line| straight(line, 150, 1.0))).arcs {
-            let section = section_of(&FixedSlope(can).coefficients(), &arc.plane);
+            let section = section_of(&can.coefficients(), &arc.plane);
             for x in (-20..=20).map(|i| 0.02 * f64::from(i)) {
                 let found = arc.hit(&section, x);
                 if let Some(z) = found {

@@ -499,7 +499,7 @@ mod tests {
         let (arcs, [left, _]) = two_cans();
         let model = model::fit(ObjectKind::Cylinder, &arcs.of(&left), None, f64::INFINITY);
         let Some(Model::Cylinder(mut fit)) = model else { panic!("{model:?}") };
-        fit.surface.0.point.z -= 0.1;
+        fit.surface.point.z -= 0.1;
         let mut reached = || {
             let (model, mut found) = (Model::Cylinder(fit), Vec::new());
             reach(&Region { arcs: &arcs, model, members: &left }, 4, |_| true, &mut found);

@@ -3,8 +3,8 @@
 use super::arcs::{Arc, Misfit};
 use super::region::Region;
 use conicflow_geometry::{
-    ArcFit, Coefficients, Conical, FixedSlope, FreeSlope, Line, LineMoments, Prediction, QuadricMoments, SpaceMoments,
-    Sphere, Surface, SurfaceFit, Vector3, across, fit_surface,
+    ArcFit, Coefficients, Conical, Line, LineMoments, Prediction, QuadricMoments, SpaceMoments, Sphere, Surface,
+    SurfaceFit, Vector3, across, fit_surface,
 };
 use conicflow_messages::ObjectKind;
 
@@ -23,8 +23,8 @@ const WIDEST: f64 = 2.0; // [algorithmic]
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Model {
     Sphere(SurfaceFit<Sphere, 4>),
-    Cylinder(SurfaceFit<FixedSlope, 5>),
-    Cone(SurfaceFit<FreeSlope, 6>),
+    Cylinder(SurfaceFit<Conical, 5>),
+    Cone(SurfaceFit<Conical, 6>),
 }
 
 impl Model {
@@ -48,8 +48,8 @@ impl Model {
     pub fn conical(&self) -> Option<Conical> {
         match self {
             Self::Sphere(_) => None,
-            Self::Cylinder(fit) => Some(fit.surface.0),
-            Self::Cone(fit) => Some(fit.surface.0),
+            Self::Cylinder(fit) => Some(fit.surface),
+            Self::Cone(fit) => Some(fit.surface),
         }
     }
 
@@ -57,8 +57,8 @@ impl Model {
     pub fn axis(&self) -> (Vector3, Vector3) {
         match self {
             Self::Sphere(fit) => (fit.surface.center, Vector3::zeros()),
-            Self::Cylinder(fit) => (fit.surface.0.point, fit.surface.0.axis),
-            Self::Cone(fit) => (fit.surface.0.point, fit.surface.0.axis),
+            Self::Cylinder(fit) => (fit.surface.point, fit.surface.axis),
+            Self::Cone(fit) => (fit.surface.point, fit.surface.axis),
         }
     }
 
@@ -66,8 +66,8 @@ impl Model {
     pub fn radius(&self) -> (f64, f64) {
         match self {
             Self::Sphere(fit) => (fit.surface.radius, fit.inverse[(3, 3)]),
-            Self::Cylinder(fit) => (fit.surface.0.radius, fit.inverse[(4, 4)]),
-            Self::Cone(fit) => (fit.surface.0.radius, fit.inverse[(4, 4)]),
+            Self::Cylinder(fit) => (fit.surface.radius, fit.inverse[(4, 4)]),
+            Self::Cone(fit) => (fit.surface.radius, fit.inverse[(4, 4)]),
         }
     }
 
@@ -75,15 +75,15 @@ impl Model {
     pub fn radius_at(&self, mean: &Vector3) -> f64 {
         match self {
             Self::Sphere(fit) => fit.surface.radius,
-            Self::Cylinder(fit) => fit.surface.0.radius,
-            Self::Cone(fit) => fit.surface.0.radius_at(mean),
+            Self::Cylinder(fit) => fit.surface.radius,
+            Self::Cone(fit) => fit.surface.radius_at(mean),
         }
     }
 
     /// By how much F is too great at an arc (see [`Conical`]); below zero beyond the apex of a cone.
     fn excess(&self, arc: &Arc) -> f64 {
         match self {
-            Self::Cone(fit) => fit.surface.0.radius_at(&arc.mean) / fit.surface.0.radius,
+            Self::Cone(fit) => fit.surface.radius_at(&arc.mean) / fit.surface.radius,
             _ => 1.0,
         }
     }
@@ -210,7 +210,7 @@ fn fit_cylinder<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option
     let moments = pool(arcs.clone(), precision).normalized()?;
     let start = match last {
         Some(Model::Cylinder(fit)) => fit.surface,
-        _ => FixedSlope(start(arcs.clone(), &moments)?),
+        _ => start(arcs.clone(), &moments)?,
     };
     fit_surface(&moments, &start, most).map(Model::Cylinder)
 }
@@ -221,11 +221,11 @@ fn fit_cone<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Mo
         _ => {
             let moments = pool(arcs.clone(), precision).normalized()?;
             let start = match last {
-                Some(Model::Cylinder(fit)) => fit.surface.0,
+                Some(Model::Cylinder(fit)) => fit.surface,
                 _ => start(arcs.clone(), &moments)?,
             };
-            let fit = fit_surface(&moments, &FreeSlope(start), UNWEIGHTED * most)?;
-            (fit.surface.0.slope.abs() <= STEEPEST).then_some(fit)?
+            let fit = fit_surface(&moments, &start, UNWEIGHTED * most)?;
+            (fit.surface.slope.abs() <= STEEPEST).then_some(fit)?
         }
     };
     let moments = pool(arcs.clone(), |arc| Model::Cone(first).weight(arc)).normalized()?;
@@ -233,15 +233,15 @@ fn fit_cone<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Mo
 }
 
 /// The same cone, its axis pointing away from the apex.
-pub(super) fn upright(fit: SurfaceFit<FreeSlope, 6>) -> SurfaceFit<FreeSlope, 6> {
-    if fit.surface.0.slope >= 0.0 {
+pub(super) fn upright(fit: SurfaceFit<Conical, 6>) -> SurfaceFit<Conical, 6> {
+    if fit.surface.slope >= 0.0 {
         return fit;
     }
     let mut flipped = fit;
-    let before = fit.surface.0;
-    flipped.surface.0 = Conical { axis: -before.axis, slope: -before.slope, ..before };
+    let before = fit.surface;
+    flipped.surface = Conical { axis: -before.axis, slope: -before.slope, ..before };
     // Parameters: tilts, shifts, radius, slope; the directions across turn with the axis.
-    let (old, new) = (before.across(), flipped.surface.0.across());
+    let (old, new) = (before.across(), flipped.surface.across());
     let turn = |i: usize| new[i].dot(&old[i]);
     let signs = [-turn(0), -turn(1), turn(0), turn(1), 1.0, -1.0];
     for i in 0..6 {
@@ -298,7 +298,7 @@ mod tests {
         frustum(cone.point, cone.axis, cone.radius, cone.slope, 0.6)
     }
 
-    fn fitted(arcs: &Arcs, rows: &[usize]) -> SurfaceFit<FreeSlope, 6> {
+    fn fitted(arcs: &Arcs, rows: &[usize]) -> SurfaceFit<Conical, 6> {
         match fit(ObjectKind::Cone, &arcs.of(rows), None, f64::INFINITY) {
             Some(Model::Cone(fit)) => fit,
             other => panic!("{other:?}"),
@@ -313,7 +313,7 @@ mod tests {
         let (rows, depth) = (rows_of(&arcs, |arc| cone.radius_at(&arc.mean) > 0.14), 0.004);
         let mut fit = fitted(&arcs, &rows);
         // Farther in everywhere by so much, across its surface.
-        fit.surface.0 = Conical { radius: cone.radius - depth / cone.half_angle().cos(), ..cone };
+        fit.surface = Conical { radius: cone.radius - depth / cone.half_angle().cos(), ..cone };
         let model = Model::Cone(fit);
         let excesses: Vec<_> = arcs.of(&rows).map(|arc| model.excess(arc)).collect();
         assert!(excesses.iter().any(|excess| *excess < 0.8) && excesses.iter().any(|excess| *excess > 1.3));
@@ -333,15 +333,15 @@ mod tests {
         let region = Region { arcs: &arcs, model: Model::Cone(fit), members: &rows };
         contours.fit(&region).unwrap();
         let points = pool_within(&region, 0.0).normalized().unwrap();
-        let before = fit.surface.0;
-        let start = FreeSlope(Conical { axis: -before.axis, slope: -before.slope, ..before });
+        let before = fit.surface;
+        let start = Conical { axis: -before.axis, slope: -before.slope, ..before };
         let downwards = fit_with_contour(&points, contours.last(), &start).unwrap();
         let upwards = upright(downwards);
-        let (up, down) = (upwards.surface.0, downwards.surface.0);
+        let (up, down) = (upwards.surface, downwards.surface);
         assert!(
             down.slope < -0.2 && up.slope == -down.slope && up.axis == -down.axis && up.axis.dot(&cone.axis) > 0.99
         );
-        let of = |fit: &SurfaceFit<FreeSlope, 6>, point: &Vector3| {
+        let of = |fit: &SurfaceFit<Conical, 6>, point: &Vector3| {
             let contour = SurfaceFit { inverse: fit.contour, ..*fit };
             [fit, &contour].map(|fit| Prediction::new(fit).variance(point))
         };

@@ -173,7 +173,7 @@ fn least_reach(region: &Region, parameters: &AssemblerParameters) -> f64 {
 
 fn is_sharp(region: &Region, parameters: &AssemblerParameters) -> bool {
     match &region.model {
-        Model::Cone(fit) => fit.surface.0.slope <= parameters.max_half_angle_deg.to_radians().tan(),
+        Model::Cone(fit) => fit.surface.slope <= parameters.max_half_angle_deg.to_radians().tan(),
         _ => true,
     }
 }
@@ -226,7 +226,7 @@ fn measure(region: &Region) -> Measured {
 /// Place of the apex of a cone along its axis, beyond which there is nothing of it; other shapes have none.
 fn apex(model: &Model) -> f64 {
     match model {
-        Model::Cone(fit) if fit.surface.0.slope > 0.0 => -fit.surface.0.radius / fit.surface.0.slope,
+        Model::Cone(fit) if fit.surface.slope > 0.0 => -fit.surface.radius / fit.surface.slope,
         _ => f64::NEG_INFINITY,
     }
 }
@@ -303,7 +303,7 @@ mod tests {
         let mut checked = || {
             let region = Region { arcs: &arcs, model: Model::Cone(fit), members: &members };
             let checked = check(&region, &AssemblerParameters::default()).err();
-            fit.surface.0.point.z -= 0.5;
+            fit.surface.point.z -= 0.5;
             checked
         };
         assert_eq!([checked(), checked()], [None, Some(Rejection::Short)]);
@@ -402,12 +402,12 @@ mod tests {
         let rows = rows_of(&arcs, |_| true);
         let Model::Cone(mut fit) = fitted(&arcs, &rows, ObjectKind::Cone).model else { panic!("no cone") };
         let extent = |fit| measure(&Region { arcs: &arcs, model: Model::Cone(fit), members: &rows }).extent;
-        let ([from, _], cone) = (extent(fit), fit.surface.0);
+        let ([from, _], cone) = (extent(fit), fit.surface);
         // Such a one that its radius is zero within what is seen.
-        fit.surface.0.slope = cone.radius / (0.5 * -from);
-        let apex = fit.surface.0.axis.dot(&(fit.surface.0.apex() - cone.point));
+        fit.surface.slope = cone.radius / (0.5 * -from);
+        let apex = fit.surface.axis.dot(&(fit.surface.apex() - cone.point));
         assert!((extent(fit)[0] - apex).abs() < 1e-12 && apex > from, "{} {apex}", extent(fit)[0]);
-        fit.surface.0.slope = 0.0;
+        fit.surface.slope = 0.0;
         assert!(extent(fit)[0] < apex, "a cone that does not taper has none");
     }
 
@@ -419,7 +419,7 @@ mod tests {
         let measured = Measured { extent: [-0.1, 0.1], ..measure(&region) };
         let Model::Cylinder(mut fit) = region.model else { panic!("{region:?}") };
         let mut along = |x: f64, y: f64, z: f64| {
-            (fit.surface.0.point, fit.surface.0.axis) = (Vector3::z() * 2.0, Vector3::new(x, y, z));
+            (fit.surface.point, fit.surface.axis) = (Vector3::z() * 2.0, Vector3::new(x, y, z));
             runs_along(&Region { model: Model::Cylinder(fit), ..region }, &measured)
         };
         for side in [-1.0, 1.0] {
