@@ -6,7 +6,7 @@
 //! by how much the contours of this sensor are off, and how far their points scatter, and the next one is measured the better for
 //! it.
 
-use super::model::{Model, pool_within, upright};
+use super::model::{Model, of_fit, pool_within, upright};
 use super::region::Region;
 use conicflow_geometry::{
     Contour, ContourBias, ContourNoise, Information, Scan, Surface, SurfaceFit, fit_with_contour,
@@ -155,11 +155,7 @@ impl Contours {
     pub fn learn(&mut self, region: &Region) {
         let own = covariance(own_px(window_px(region)), SYSTEMATIC);
         let contour = self.of(region);
-        let shown = match &region.model {
-            Model::Sphere(fit) => shown(contour, fit, &own),
-            Model::Cylinder(fit) => shown(contour, fit, &own),
-            Model::Cone(fit) => shown(contour, fit, &own),
-        };
+        let shown = of_fit!(&region.model, fit => shown(contour, fit, &own));
         if let Some((bias, noise)) = shown {
             let sides = [0, 1].map(|side| contour.used_on(side));
             let learned = &mut self.learned[direction(region)];

@@ -27,6 +27,18 @@ pub(crate) enum Model {
     Cone(SurfaceFit<Conical, 6>),
 }
 
+/// What some expression tells of the fit, whatever the shape is.
+macro_rules! of_fit {
+    ($model:expr, $fit:ident => $told:expr) => {
+        match $model {
+            $crate::assemble::model::Model::Sphere($fit) => $told,
+            $crate::assemble::model::Model::Cylinder($fit) => $told,
+            $crate::assemble::model::Model::Cone($fit) => $told,
+        }
+    };
+}
+pub(super) use of_fit;
+
 impl Model {
     pub fn kind(&self) -> ObjectKind {
         match self {
@@ -37,19 +49,14 @@ impl Model {
     }
 
     pub fn coefficients(&self) -> Coefficients {
-        match self {
-            Self::Sphere(fit) => fit.surface.coefficients(),
-            Self::Cylinder(fit) => fit.surface.coefficients(),
-            Self::Cone(fit) => fit.surface.coefficients(),
-        }
+        of_fit!(self, fit => fit.surface.coefficients())
     }
 
     /// Axis and profile of a cylinder or cone.
     pub fn conical(&self) -> Option<Conical> {
         match self {
             Self::Sphere(_) => None,
-            Self::Cylinder(fit) => Some(fit.surface),
-            Self::Cone(fit) => Some(fit.surface),
+            Self::Cylinder(SurfaceFit { surface, .. }) | Self::Cone(SurfaceFit { surface, .. }) => Some(*surface),
         }
     }
 
@@ -57,8 +64,9 @@ impl Model {
     pub fn axis(&self) -> (Vector3, Vector3) {
         match self {
             Self::Sphere(fit) => (fit.surface.center, Vector3::zeros()),
-            Self::Cylinder(fit) => (fit.surface.point, fit.surface.axis),
-            Self::Cone(fit) => (fit.surface.point, fit.surface.axis),
+            Self::Cylinder(SurfaceFit { surface, .. }) | Self::Cone(SurfaceFit { surface, .. }) => {
+                (surface.point, surface.axis)
+            }
         }
     }
 
@@ -95,20 +103,12 @@ impl Model {
 
     /// Weighted sum of the squared distances.
     pub fn square_sum(&self) -> f64 {
-        match self {
-            Self::Sphere(fit) => fit.square_sum,
-            Self::Cylinder(fit) => fit.square_sum,
-            Self::Cone(fit) => fit.square_sum,
-        }
+        of_fit!(self, fit => fit.square_sum)
     }
 
     /// Weighted sum of the squared distances of the contour.
     pub fn contour_sum(&self) -> f64 {
-        match self {
-            Self::Sphere(fit) => fit.contour_sum,
-            Self::Cylinder(fit) => fit.contour_sum,
-            Self::Cone(fit) => fit.contour_sum,
-        }
+        of_fit!(self, fit => fit.contour_sum)
     }
 
     /// Weighted sum of the squared distances of points and contour.
@@ -359,11 +359,7 @@ mod tests {
         for kind in [ObjectKind::Cylinder, ObjectKind::Cone] {
             let model = fit(kind, &arcs.of(&rows), None, f64::INFINITY).unwrap();
             let model = Contours::default().fit(&Region { arcs: &arcs, model, members: &rows }).unwrap();
-            let (square_sum, contour_sum) = match &model {
-                Model::Sphere(fit) => (fit.square_sum, fit.contour_sum),
-                Model::Cylinder(fit) => (fit.square_sum, fit.contour_sum),
-                Model::Cone(fit) => (fit.square_sum, fit.contour_sum),
-            };
+            let (square_sum, contour_sum) = of_fit!(&model, fit => (fit.square_sum, fit.contour_sum));
             assert!(model.cost() == square_sum + contour_sum && contour_sum > 1.0, "{kind:?}: {contour_sum}");
         }
     }
