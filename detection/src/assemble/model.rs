@@ -331,11 +331,11 @@ mod tests {
         let rows = rows_of(&arcs, |arc| arc.mean.z < 2.5);
         let (fit, mut contours) = (fitted(&arcs, &rows), Contours::default());
         let region = Region { arcs: &arcs, model: Model::Cone(fit), members: &rows };
-        contours.fit(&region).unwrap();
+        let (_, contour) = contours.fit(&region).unwrap();
         let points = pool_within(&region, 0.0).normalized().unwrap();
         let before = fit.surface;
         let start = Conical { axis: -before.axis, slope: -before.slope, ..before };
-        let downwards = fit_with_contour(&points, contours.last(), &start).unwrap();
+        let downwards = fit_with_contour(&points, contour, &start).unwrap();
         let upwards = upright(downwards);
         let (up, down) = (upwards.surface, downwards.surface);
         assert!(
@@ -358,7 +358,8 @@ mod tests {
         let rows = rows_of(&arcs, |arc| arc.mean.z < 2.5);
         for kind in [ObjectKind::Cylinder, ObjectKind::Cone] {
             let model = fit(kind, &arcs.of(&rows), None, f64::INFINITY).unwrap();
-            let model = Contours::default().fit(&Region { arcs: &arcs, model, members: &rows }).unwrap();
+            let mut contours = Contours::default();
+            let (model, _) = contours.fit(&Region { arcs: &arcs, model, members: &rows }).unwrap();
             let (square_sum, contour_sum) = of_fit!(&model, fit => (fit.square_sum, fit.contour_sum));
             assert!(model.cost() == square_sum + contour_sum && contour_sum > 1.0, "{kind:?}: {contour_sum}");
         }

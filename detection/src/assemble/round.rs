@@ -70,8 +70,9 @@ mod tests {
         let model = model::fit(kind, &arcs.of(&members), None, f64::INFINITY).unwrap();
         let mut region = Region { arcs: &arcs, model, members: &members };
         let mut contours = Contours::default();
-        region.model = contours.fit(&region).unwrap();
-        roundness(&region, contours.last())
+        let (fitted, contour) = contours.fit(&region).unwrap();
+        region.model = fitted;
+        roundness(&region, contour)
     }
 
     #[test]

@@ -103,14 +103,12 @@ fn verify<'a>(
     contours: &mut Contours,
 ) -> Result<Candidate<'a>, Rejection> {
     check(&region, parameters)?;
-    if let Some(model) = contours.fit(&region) {
-        region.model = model;
-    } else {
-        contours.clear();
-    }
+    let no_contour = Contour::default();
+    let (model, contour) = contours.fit(&region).unwrap_or((region.model, &no_contour));
+    region.model = model;
     let measured = check(&region, parameters)?;
-    let outline = Outline::of(&region, contours.last());
-    let roundness = roundness(&region, contours.last());
+    let outline = Outline::of(&region, contour);
+    let roundness = roundness(&region, contour);
     Ok(Candidate { region, measured, outline, roundness })
 }
 
@@ -494,9 +492,10 @@ mod tests {
         for (lines, shared_lines) in [(20, 1.0), (60, 1.0), (60, 5.0)] {
             arcs.arcs.iter_mut().for_each(|arc| arc.shared_lines = shared_lines);
             let (mut region, mut contours) = (fitted(&arcs, &rows[..lines], ObjectKind::Sphere), Contours::default());
-            region.model = contours.fit(&region).unwrap();
-            let (sum, used) = (region.model.contour_sum(), contours.last().used() as f64);
-            let told = Outline::of(&region, contours.last()).square;
+            let (model, contour) = contours.fit(&region).unwrap();
+            region.model = model;
+            let (sum, used) = (model.contour_sum(), contour.used() as f64);
+            let told = Outline::of(&region, contour).square;
             let expected = (sum + 4.0 * shared_lines) / (used + 4.0 * shared_lines);
             assert!(used > lines as f64 && (told - expected).abs() < 1e-12 && told != 1.0, "{told} {expected}");
         }
