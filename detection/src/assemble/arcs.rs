@@ -1,6 +1,7 @@
 //! The arcs of a message, ready for pooling, and which of them lie beside each other.
 
 use crate::camera::{pinhole, scan};
+use crate::extract::LEAST_VARIANCE;
 use conicflow_geometry::{
     Coefficients, ContourPoint, Pinhole, PlaneMoments, RaySums, Scan, ScanPlane, SpaceMoments, Vector3, bulge,
     gradient, meets, section_about,
@@ -13,8 +14,6 @@ use std::mem;
 use std::ops::Range;
 use std::sync::OnceLock;
 
-/// Least variance of an arc, in square metres: surfaces are rough by a tenth of a millimetre. It is for images without noise.
-const LEAST_VARIANCE: f64 = 1e-8; // [algorithmic]
 /// Steepest surface from line to line, as depth per distance across the view.
 const SLOPE: f64 = 5.0; // [tuned]
 /// Mean depths of arcs of one surface may differ by so many standard deviations more than the slope explains.

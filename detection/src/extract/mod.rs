@@ -39,6 +39,7 @@ use noise_estimate::NoiseEstimate;
 use noise_level::NoiseSamples;
 use noise_planes::PlaneSquares;
 use search::LineSearch;
+pub(crate) use view::LEAST_VARIANCE;
 use view::View;
 
 /// Finds the ellipses of depth images; its buffers are used again for the next.

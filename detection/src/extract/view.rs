@@ -12,8 +12,9 @@ use std::ops::Range;
 const SCATTER: f64 = 2.5; // [sigmas]
 /// The limit's `b`: the noise model may be wrong by this part of its variance.
 const SLACK: f64 = 0.6; // [tuned]
-/// Mean square roughness of any surface, in square metres: a tenth of a millimetre, squared. It is for images without noise.
-const LEAST_SQUARE: f64 = 1e-8; // [algorithmic]
+/// Mean square roughness of any surface, in square metres, and so the least variance of its points: a tenth of a millimetre,
+/// squared. It is for images without noise.
+pub(crate) const LEAST_VARIANCE: f64 = 1e-8; // [algorithmic]
 /// Steepest surface between neighbouring pixels, as depth per distance across the view. A steeper step is a jump.
 const JUMP_SLOPE: f64 = 3.0; // [tuned]
 /// Steepest surface across a hole, as depth per distance across the view.
@@ -224,7 +225,7 @@ impl View {
     /// Largest mean square error of `points` points that noise of this variance accounts for.
     #[inline]
     pub fn limit(&self, variance: f64, points: usize) -> f64 {
-        variance * self.tables().limits[points] + LEAST_SQUARE
+        variance * self.tables().limits[points] + LEAST_VARIANCE
     }
 }
 
