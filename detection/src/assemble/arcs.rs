@@ -15,12 +15,12 @@ use std::ops::Range;
 use std::sync::OnceLock;
 
 /// Steepest surface from line to line, as depth per distance across the view.
-const SLOPE: f64 = 5.0; // [tuned]
+const MAX_LINE_SLOPE: f64 = 5.0; // [tuned]
 /// Mean depths of arcs of one surface may differ by so many standard deviations more than the slope explains.
-const APART: f64 = 4.0; // [sigmas]
+const DEPTH_SIGMAS: f64 = 4.0; // [sigmas]
 /// Mean depths may differ further by this part of a pixel's width for each pixel by which one arc is longer: the points of half
 /// a circle lie in the mean `pi / 8` of its width before its centre.
-const LONGER: f64 = FRAC_PI_8; // [derived]
+const DEPTH_PER_PIXEL: f64 = FRAC_PI_8; // [derived]
 
 /// An arc with what the assembler needs of it.
 #[derive(Clone, Debug)]
@@ -50,7 +50,7 @@ pub(crate) struct Arc {
     pub center: Vector3,
     /// Angle that the points span about the centre of the circle.
     pub angle: f64,
-    /// Change of a ray, of which the depth is one, from pixel to pixel of the line and from line to line.
+    /// Change of a ray of depth one from pixel to pixel of the line, and from line to line.
     steps: [Vector3; 2],
     /// Slopes of the rays through the first and the last pixel.
     pub rays: [f64; 2],
@@ -206,7 +206,7 @@ impl Arc {
     }
 }
 
-/// Change of a ray, of which the depth is one, from pixel to pixel of a line and from line to line.
+/// Change of a ray of depth one from pixel to pixel of a line, and from line to line.
 fn steps(camera: &Pinhole, plane: &ScanPlane) -> [Vector3; 2] {
     let [along_rows, along_columns] = [Vector3::x() / camera.fx, Vector3::y() / camera.fy];
     match plane.scan() {
@@ -328,10 +328,10 @@ impl Arcs {
     /// Whether two arcs of near lines may belong to one surface.
     fn touches(&self, a: &Arc, b: &Arc) -> bool {
         let lines = f64::from(a.line.abs_diff(b.line));
-        let step = SLOPE * lines * a.spacing + APART * (a.variance / a.points.min(b.points)).sqrt();
-        // The depth of the mean differs with the columns that an arc covers, by no more than its bulge.
-        let bulge = LONGER * (a.pixels[1] - a.pixels[0]).abs_diff(b.pixels[1] - b.pixels[0]) as f64 * a.pitch;
-        a.overlap(b.pixels) > 0 && (a.mean.z - b.mean.z).abs() <= step + bulge
+        let step = MAX_LINE_SLOPE * lines * a.spacing + DEPTH_SIGMAS * (a.variance / a.points.min(b.points)).sqrt();
+        // The mean of a wider arc lies farther back, by no more than that of half a circle.
+        let wider = DEPTH_PER_PIXEL * (a.pixels[1] - a.pixels[0]).abs_diff(b.pixels[1] - b.pixels[0]) as f64 * a.pitch;
+        a.overlap(b.pixels) > 0 && (a.mean.z - b.mean.z).abs() <= step + wider
     }
 }
 

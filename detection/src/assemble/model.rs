@@ -8,9 +8,9 @@ use conicflow_geometry::{
 };
 use conicflow_messages::ObjectKind;
 
-/// Least radius at an arc of a cone, as a part of the radius in its middle: it keeps weights finite near the apex, where points
-/// are off by nobody knows how much.
-const LEAST_EXCESS: f64 = 0.05; // [algorithmic]
+/// Least radius at an arc of a cone, as a part of that at its point. It keeps weights finite near the apex, where F tells no
+/// distance.
+const MIN_RADIUS_RATIO: f64 = 0.05; // [algorithmic]
 /// The first fit of a cone may leave so many times the square sum of its refit: it weighs the arcs as those of a cylinder.
 const UNWEIGHTED: f64 = 2.0; // [algorithmic]
 /// Largest slope of a cone: the fit of a steeper one has diverged.
@@ -88,8 +88,9 @@ impl Model {
         }
     }
 
-    /// By how much F is too great at an arc (see [`Conical`]); below zero beyond the apex of a cone.
-    fn excess(&self, arc: &Arc) -> f64 {
+    /// Radius of a cone at an arc over that at its point: F is too great there by this factor (see [`Conical`]). Below zero
+    /// beyond the apex.
+    fn radius_ratio(&self, arc: &Arc) -> f64 {
         match self {
             Self::Cone(fit) => fit.surface.radius_at(&arc.mean) / fit.surface.radius,
             _ => 1.0,
@@ -98,7 +99,7 @@ impl Model {
 
     /// The weight of a point of an arc: one over the variance of F there.
     pub fn weight(&self, arc: &Arc) -> f64 {
-        1.0 / (arc.variance * self.excess(arc).max(LEAST_EXCESS).powi(2))
+        1.0 / (arc.variance * self.radius_ratio(arc).max(MIN_RADIUS_RATIO).powi(2))
     }
 
     /// Weighted sum of the squared distances.
@@ -119,9 +120,9 @@ impl Model {
     /// How far the points of an arc are off the model, of which `q` are the coefficients; `None` near and beyond the apex of a
     /// cone.
     pub fn misfit(&self, q: &Coefficients, arc: &Arc) -> Option<Misfit> {
-        let excess = self.excess(arc);
+        let ratio = self.radius_ratio(arc);
         let Misfit { square, mean } = arc.misfit(q);
-        (excess > LEAST_EXCESS).then(|| Misfit { square: square / (excess * excess), mean: mean / excess })
+        (ratio > MIN_RADIUS_RATIO).then(|| Misfit { square: square / (ratio * ratio), mean: mean / ratio })
     }
 }
 
@@ -315,8 +316,8 @@ mod tests {
         // Farther in everywhere by so much, across its surface.
         fit.surface = Conical { radius: cone.radius - depth / cone.half_angle().cos(), ..cone };
         let model = Model::Cone(fit);
-        let excesses: Vec<_> = arcs.of(&rows).map(|arc| model.excess(arc)).collect();
-        assert!(excesses.iter().any(|excess| *excess < 0.8) && excesses.iter().any(|excess| *excess > 1.3));
+        let ratios: Vec<_> = arcs.of(&rows).map(|arc| model.radius_ratio(arc)).collect();
+        assert!(ratios.iter().any(|ratio| *ratio < 0.8) && ratios.iter().any(|ratio| *ratio > 1.3));
         for arc in arcs.of(&rows) {
             let Misfit { square, mean } = model.misfit(&model.coefficients(), arc).unwrap();
             assert!((mean / depth - 1.0).abs() < 0.1, "{mean} m, where it is {} m wide", cone.radius_at(&arc.mean));

@@ -33,7 +33,7 @@ pub fn end_sigma(spacing: f64, plane: &ScanPlane, axis: &Vector3) -> f64 {
     END_LINES * spacing_along(spacing, plane, axis)
 }
 
-/// What is told of a region that was verified.
+/// The object as which a verified region is reported.
 pub(super) fn report(region: &Region, measured: &Measured) -> Object {
     let center = verify::middle(region, measured);
     let object = Object {

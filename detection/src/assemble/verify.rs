@@ -17,9 +17,9 @@ const ALONG_LINES: f64 = 0.766; // [tuned]
 /// Largest cosine between the axis and the view: that of 25 degrees.
 const ALONG_VIEW: f64 = 0.906; // [tuned]
 /// The curvature of an object has to exceed that of a plane by so many standard deviations.
-const CURVED: f64 = 4.0; // [sigmas]
+const PLANE_SIGMAS: f64 = 4.0; // [sigmas]
 
-/// As how many independent points it counts that the points of an outline are expected to be off by one standard deviation.
+/// Weight of the expectation that the points of an outline are off by one standard deviation, in independent points.
 const EXPECTED_POINTS: f64 = 4.0; // [tuned]
 
 /// What was measured of a grown model, for its report.
@@ -138,7 +138,7 @@ fn check(region: &Region, parameters: &AssemblerParameters) -> Result<Measured, 
         Err(Rejection::Tilted)
     } else if measured.angle < parameters.pooled.min_arc_deg.to_radians() {
         Err(Rejection::ShortArc)
-    } else if measured.curvature < CURVED * CURVED {
+    } else if measured.curvature < PLANE_SIGMAS * PLANE_SIGMAS {
         Err(Rejection::Flat)
     } else {
         Ok(measured)
