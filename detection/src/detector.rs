@@ -22,6 +22,8 @@ pub struct Detector {
     units: Vec<u16>,
     /// How many of its pixels were farther than units reach.
     too_far: u64,
+    /// Whether each image is looked at as if it were the first.
+    alone: bool,
 }
 
 /// Why an image cannot be looked at.
@@ -57,6 +59,7 @@ impl Detector {
             assembler: Assembler::new(AssemblerParameters::default()),
             units: Vec::new(),
             too_far: 0,
+            alone: false,
         }
     }
 
@@ -79,12 +82,13 @@ impl Detector {
     pub fn parameters(mut self, extractor: ExtractorParameters, assembler: AssemblerParameters) -> Self {
         self.extractor = Extractor::new(extractor);
         self.assembler = Assembler::new(assembler);
-        self
+        if self.alone { self.alone() } else { self }
     }
 
     /// The same detector, but each image is looked at as if it were the first (`contour_memory = 0`).
     #[must_use]
     pub fn alone(mut self) -> Self {
+        self.alone = true;
         self.assembler.parameters.pooled.contour_memory = 0.0;
         self
     }
@@ -206,9 +210,14 @@ mod tests {
     #[test]
     fn alone_an_image_leaves_nothing_behind() {
         let (header, pixels) = scene();
-        let mut detector = detector(&header).alone();
-        let first = detector.detect(&pixels);
-        assert_eq!((first.len(), detector.detect(&pixels)), (1, first));
+        let with_parameters =
+            |detector: Detector| detector.parameters(ExtractorParameters::default(), AssemblerParameters::default());
+        // In whichever order it is said.
+        let [last, first] = [with_parameters(detector(&header)).alone(), with_parameters(detector(&header).alone())];
+        for mut detector in [last, first] {
+            let first = detector.detect(&pixels);
+            assert_eq!((first.len(), detector.detect(&pixels)), (1, first));
+        }
     }
 
     /// Images of balls before a wall, each in a place of its own.

@@ -36,7 +36,7 @@ impl Extractor {
         self.noise = self.estimate_noise(header, image);
         self.ellipses.clear();
         self.rejections = ArcRejections::default();
-        for &scan in self.parameters.scan.directions() {
+        for &scan in self.view.parameters.scan.directions() {
             self.look_along(header, image, scan);
         }
         &self.ellipses

@@ -3,7 +3,7 @@
 use super::*;
 use crate::simulated::{CAMERA, Random, exact, of_exact, seen};
 use crate::space::monomials;
-use crate::{Conical, FixedSlope, FreeSlope, QUADRIC_TERMS, Scan, SpaceMoments, Sphere, fit_with_contour, section_of};
+use crate::{Conical, QUADRIC_TERMS, Scan, SpaceMoments, Sphere, fit_with_contour, section_of};
 use std::ops::Range;
 
 fn biased(mean: Vector4<f64>, sigmas: [f64; 2]) -> ContourBias {
@@ -47,7 +47,7 @@ fn contour_on(rows: Range<u32>, q: &Coefficients, radius_px: f64, outwards: f64,
 }
 
 fn contour(surface: &Conical, outwards: f64) -> Contour {
-    contour_on(105..140, &FreeSlope(*surface).coefficients(), 12.0, outwards, noise())
+    contour_on(105..140, &surface.coefficients(), 12.0, outwards, noise())
 }
 
 /// The term of a surface that is given in the camera frame.
@@ -56,7 +56,7 @@ fn term<S: Surface<N>, const N: usize>(contour: &Contour, surface: &S) -> Contou
 }
 
 fn cost(contour: &Contour, surface: &Conical) -> f64 {
-    term(contour, &FreeSlope(*surface)).square_sum
+    term::<_, 6>(contour, surface).square_sum
 }
 
 #[test]
@@ -64,8 +64,8 @@ fn the_true_surface_touches_its_contour() {
     let contour = contour(&cup(), 0.0);
     assert!(cost(&contour, &cup()) < 1e-12);
     let (origin, scale) = (Vector3::new(0.07, 0.1, 1.1), 0.04);
-    let local = FreeSlope(cup()).to_local(&origin, scale);
-    let term = contour.term(&local.coefficients(), &local.derivatives(), &origin, scale);
+    let local = cup().to_local(&origin, scale);
+    let term = contour.term::<6>(&local.coefficients(), &local.derivatives(), &origin, scale);
     assert!(term.square_sum < 1e-12, "in any frame");
 }
 
@@ -79,13 +79,13 @@ fn a_taper_costs_and_an_offset_hardly_does() {
 #[test]
 fn the_gradient_is_that_of_the_cost() {
     let contour = contour(&Conical { slope: 0.1, radius: 0.049, ..cup() }, 0.4);
-    let surface = FreeSlope(cup());
-    let term = term(&contour, &surface);
+    let surface = cup();
+    let term = term::<_, 6>(&contour, &surface);
     for i in 0..6 {
         let at = |h: f64| {
             let mut step = [0.0; 6];
             step[i] = h;
-            cost(&contour, &surface.moved(&step).unwrap().0)
+            cost(&contour, &surface.moved(&step).unwrap())
         };
         let slope = (at(1e-6) - at(-1e-6)) / 4e-6;
         let scale = 1.0 + term.gradient.amax();
@@ -95,7 +95,7 @@ fn the_gradient_is_that_of_the_cost() {
 
 #[test]
 fn an_error_is_the_way_to_the_contour_and_its_slope_that_of_the_contour_however_far_off_a_point_is() {
-    let q = FreeSlope(cup()).coefficients();
+    let q = cup().coefficients();
     let [exact, off] = [0.0, 3.0].map(|outwards| contour(&cup(), outwards).points);
     for (exact, off) in exact.iter().zip(&off) {
         let [(none, expected), (error, slope)] = [exact, off].map(|seen| seen.point.error_gradient(&q));
@@ -136,12 +136,12 @@ fn what_is_grazed_goes_with_the_radius_of_curvature_along_the_view() {
     // The view runs along a cylinder the more, the more this leans to it.
     for (sine, cosine) in [(0.0, 1.0), (0.6, 0.8), (0.8, 0.6)] {
         let axis = Vector3::new(0.0, cosine, sine);
-        let can = FixedSlope(Conical { point: ball.center, axis, radius: 0.05, slope: 0.0 });
+        let can = Conical { point: ball.center, axis, radius: 0.05, slope: 0.0 };
         let seen = radius_px(&can.coefficients()) * cosine * cosine;
         assert!((seen / expected - 1.0).abs() < 0.02, "{seen} {expected}");
     }
     // The side of a cone leans to its axis: its normal sections are as much wider (Meusnier's theorem).
-    let cone = |slope: f64| FreeSlope(Conical { point: ball.center, axis: Vector3::y(), radius: 0.05, slope });
+    let cone = |slope: f64| Conical { point: ball.center, axis: Vector3::y(), radius: 0.05, slope };
     let [upright, tapered] = [0.0, 0.3].map(|slope| radius_px(&cone(slope).coefficients()));
     assert!((tapered / upright - (1.0 + 0.3 * 0.3_f64).sqrt()).abs() < 0.002, "{upright} {tapered}");
 }
@@ -216,11 +216,11 @@ fn the_scatter_of_contours_of_two_sizes_tells_their_noise_in_pixels_and_in_radii
     for object in 0..300 {
         let radius_px = [12.0, 40.0][object % 2];
         let sigma = 0.2_f64.hypot(0.01 * radius_px);
-        let mut contour = contour_on(105..140, &FreeSlope(cup()).coefficients(), radius_px, 0.7, noise());
+        let mut contour = contour_on(105..140, &cup().coefficients(), radius_px, 0.7, noise());
         for seen in &mut contour.points {
             seen.point.ray += seen.point.pixel * (sigma * random.normal());
         }
-        shown += contour.noise_evidence(&FreeSlope(cup())).unwrap();
+        shown += contour.noise_evidence::<_, 6>(&cup()).unwrap();
     }
     let (variance, covariance) = shown.estimate().unwrap();
     for (i, expected) in [0.2_f64.powi(2), 0.01_f64.powi(2)].into_iter().enumerate() {
@@ -247,7 +247,7 @@ fn four_lines_that_share_their_noise_tell_a_fourth_of_what_they_would_by_a_bias_
 fn a_contour_is_expected_outside_by_the_mean_of_its_sides_across_the_outline() {
     let outside = |mean: [f64; 4]| {
         let bias = ContourBias { mean: mean.into(), ..noise().bias };
-        let q = FreeSlope(cup()).coefficients();
+        let q = cup().coefficients();
         let mut contour = contour_on(105..140, &q, 12.0, 0.0, ContourNoise { bias, ..noise() });
         contour.points.iter_mut().for_each(|seen| seen.place(0.8, 12.0, &contour.noise));
         // All that is left is of the last side.
@@ -271,22 +271,22 @@ fn a_contour_is_expected_outside_by_the_mean_of_its_sides_across_the_outline() {
 fn what_is_far_off_is_not_used() {
     for pixels in [8.0, -8.0] {
         let exact = ContourNoise { point: Vector2::new(0.01, 0.0), ..noise() };
-        let mut contour = contour_on(105..140, &FreeSlope(cup()).coefficients(), 12.0, 0.0, exact);
+        let mut contour = contour_on(105..140, &cup().coefficients(), 12.0, 0.0, exact);
         let [first, ..] = contour.points[..] else { panic!() };
         for far_off in 1..=3 {
             contour.add(ContourPoint { ray: first.point.ray + first.point.pixel * pixels, ..first.point });
-            contour.select(&FreeSlope(cup()).coefficients(), |_| true);
+            contour.select(&cup().coefficients(), |_| true);
             assert_eq!((contour.used() + far_off, contour.far_off()), (contour.points(), far_off));
             assert_eq!(contour.least_left_out(), far_off as f64 * GATE * GATE, "each counts up to the gate");
         }
-        contour.select(&FreeSlope(cup()).coefficients(), |_| false);
+        contour.select(&cup().coefficients(), |_| false);
         assert_eq!((contour.used(), contour.far_off(), contour.least_left_out()), (0, 0, 0.0));
     }
 }
 
 #[test]
 fn what_is_seen_is_asked_of_the_point_that_the_ray_touches() {
-    let q = FreeSlope(cup()).coefficients();
+    let q = cup().coefficients();
     let mut contour = contour(&cup(), 0.0);
     contour.select(&q, |p| dot(&q, &monomials(p)).abs() < 1e-9);
     assert_eq!(contour.used(), contour.points());
@@ -294,7 +294,7 @@ fn what_is_seen_is_asked_of_the_point_that_the_ray_touches() {
 
 #[test]
 fn points_count_as_near_by_their_noise_about_the_middle_of_their_side_within_its_offset() {
-    let q = FreeSlope(cup()).coefficients();
+    let q = cup().coefficients();
     let are_used = |outwards: f64, sigma: f64, mean_px: f64| {
         let bias = biased(Vector4::new(-mean_px, 0.0, mean_px, 0.0), [0.8, 1e-6]);
         let noise = ContourNoise { point: Vector2::new(sigma * sigma, 0.0), bias, ..noise() };
@@ -311,10 +311,10 @@ fn points_count_as_near_by_their_noise_about_the_middle_of_their_side_within_its
 
 #[test]
 fn the_noise_is_what_is_left_of_a_contour_by_the_bias_that_is_expected_and_seen() {
-    let surface = FreeSlope(cup());
+    let surface = cup();
     let bias = biased(Vector4::new(-0.4, 0.0, 0.4, 0.0), [0.1, 1e-6]);
     let contour = contour_on(105..140, &surface.coefficients(), 12.0, 0.7, ContourNoise { bias, ..noise() });
-    let Information { matrix, vector } = contour.noise_evidence(&surface).unwrap();
+    let Information { matrix, vector } = contour.noise_evidence::<_, 6>(&surface).unwrap();
     // Of 0.3 pixels that are not expected the contour shows about half, against what is known of the bias.
     let left = (vector[0] / matrix[(0, 0)]).sqrt();
     assert!((0.05..0.25).contains(&left), "{left}");
@@ -340,7 +340,7 @@ fn the_radius_of_curvature_is_that_of_the_surface_however_long_the_ray_and_howev
 
 #[test]
 fn the_slope_of_an_error_is_that_by_the_coefficients_however_long_the_rays_are() {
-    let q = FreeSlope(cup()).coefficients();
+    let q = cup().coefficients();
     for Seen { point, .. } in contour(&cup(), 0.0).points {
         let [ray, pixel, across] = [point.ray, point.pixel, point.across].map(|part| part * 1.7);
         let point = ContourPoint { ray, pixel, across, ..point };
@@ -375,12 +375,12 @@ fn the_points_of_each_side_are_counted_and_their_radii_averaged() {
 
 #[test]
 fn what_the_contour_tells_of_a_fit_is_in_metres_and_radians() {
-    let can = FixedSlope(Conical { slope: 0.0, ..cup() });
+    let can = Conical { slope: 0.0, ..cup() };
     let points = of_exact(&seen(&can.coefficients(), 105..140, 0.0, exact));
     let mut contour = contour_on(105..140, &can.coefficients(), 12.0, 0.3, noise());
     contour.select(&can.coefficients(), |_| true);
-    let fit = fit_with_contour(&points, &contour, &can).unwrap();
-    let expected = term(&contour, &fit.surface).matrix;
+    let fit = fit_with_contour::<_, 5>(&points, &contour, &can).unwrap();
+    let expected = term::<_, 5>(&contour, &fit.surface).matrix;
     for (i, j) in (0..5).flat_map(|i| (0..5).map(move |j| (i, j))) {
         let size = (expected[(i, i)] * expected[(j, j)]).sqrt();
         assert!((fit.contour[(i, j)] - expected[(i, j)]).abs() < 1e-6 * size, "{i} {j}: {} {expected}", fit.contour);

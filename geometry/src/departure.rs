@@ -41,7 +41,7 @@ pub fn departure<S: Surface<N>, const N: usize, const K: usize, const M: usize>(
 mod tests {
     use super::*;
     use crate::simulated::{Random, exact, of_exact, seen};
-    use crate::{Conical, FixedSlope, FreeSlope, SpaceMoments, Sphere, fit_surface};
+    use crate::{Conical, SpaceMoments, Sphere, fit_surface};
 
     fn can() -> Conical {
         let axis = Vector3::new(0.2, 1.0, 0.1).normalize();
@@ -58,10 +58,8 @@ mod tests {
         for by in [[0.0, 0.0], [0.1, 0.0], [-0.04, 0.07]] {
             let q = departed(can().coefficients(), &can().departures(), &by);
             let points = of_exact(&seen(&q, 90..150, 0.0, exact));
-            let round = fit_surface(&points, &FixedSlope(can()), f64::INFINITY).unwrap();
-            let (x, _) =
-                departure::<_, 5, 2, 7>(&points, &Contour::default(), &round, |surface| surface.0.departures())
-                    .unwrap();
+            let round = fit_surface(&points, &can(), f64::INFINITY).unwrap();
+            let (x, _) = departure::<_, 5, 2, 7>(&points, &Contour::default(), &round, Conical::departures).unwrap();
             // The radius of the round fit is another one, and the directions across turn with its axis.
             let [found, expected] = [x.norm(), SVector::from(by).norm()];
             assert!((found - expected).abs() < 0.1 * expected + 1e-3, "{found} {expected}");
@@ -84,10 +82,8 @@ mod tests {
             let mut points = SpaceMoments::default();
             points.add(&seen(&can().coefficients(), 90..150, 0.6, noisy), sigma.powi(-2));
             let points = points.normalized().unwrap();
-            let round = fit_surface(&points, &FixedSlope(can()), f64::INFINITY).unwrap();
-            let (x, _) =
-                departure::<_, 5, 2, 7>(&points, &Contour::default(), &round, |surface| surface.0.departures())
-                    .unwrap();
+            let round = fit_surface(&points, &can(), f64::INFINITY).unwrap();
+            let (x, _) = departure::<_, 5, 2, 7>(&points, &Contour::default(), &round, Conical::departures).unwrap();
             greatest = greatest.max(x.norm());
         }
         println!("departs by up to {greatest:.2}");
@@ -98,7 +94,7 @@ mod tests {
     #[test]
     fn departures_of_what_is_round_scatter_no_more_than_their_covariance_tells() {
         let (sigma, frames): (f64, u64) = (0.002, 60);
-        let cone = FreeSlope(Conical { slope: 0.2, ..can() });
+        let cone = Conical { slope: 0.2, ..can() };
         let mut square = 0.0;
         for frame in 0..frames {
             let mut random = Random(frame + 1);
@@ -108,8 +104,7 @@ mod tests {
             let points = points.normalized().unwrap();
             let round = fit_surface(&points, &cone, f64::INFINITY).unwrap();
             let (x, covariance) =
-                departure::<_, 6, 2, 8>(&points, &Contour::default(), &round, |surface| surface.0.departures())
-                    .unwrap();
+                departure::<_, 6, 2, 8>(&points, &Contour::default(), &round, Conical::departures).unwrap();
             square += x.dot(&(covariance.try_inverse().unwrap() * x)) / frames as f64;
         }
         println!("chi squared of two numbers: {square:.2}");

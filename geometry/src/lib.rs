@@ -53,8 +53,6 @@ pub use profile::{CircleProfile, fit_circle_profile, fit_line_profile};
 pub use regression::{Fit, Regression};
 pub use section::SectionShape;
 pub use space::{Coefficients, QUADRIC_TERMS, QuadricMoments, SpaceMoments};
-pub use surface::{
-    Conical, FixedSlope, FreeSlope, Sphere, Surface, across, gradient, meets, section_about, section_of,
-};
+pub use surface::{Conical, Sphere, Surface, across, gradient, meets, section_about, section_of};
 pub use unbiased::{ArcSums, LineSums, RayPart, RaySums};
 pub use vector::Vector3;

@@ -9,7 +9,7 @@ use crate::{Coefficients, Contour, ContourTerm, QuadricMoments, Surface, Vector3
 use nalgebra::{SMatrix, SVector};
 
 /// Most steps of a fit.
-const STEPS: usize = 8; // [algorithmic]
+const MAX_STEPS: usize = 8; // [algorithmic]
 /// A step shorter than this (in spreads of the points, and radians) ends the fit.
 const SHORT: f64 = 1e-4; // [algorithmic]
 
@@ -67,7 +67,7 @@ fn fit<S: Surface<N>, const N: usize>(
     let mut system = below(f64::INFINITY, &surface)?;
     let [slight, most] = [SLIGHT, most].map(|sum| sum / (moments.scale * moments.scale));
     let (mut damping, mut converged) = (1e-3, false);
-    for _ in 0..STEPS {
+    for _ in 0..MAX_STEPS {
         let Some(step) = system.step(damping) else {
             damping = (damping * 10.0).max(1e-3);
             continue;

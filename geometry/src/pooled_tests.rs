@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::simulated::{CAMERA, Random, exact, hit, of_exact, seen};
-use crate::{Conical, FixedSlope, FreeSlope, Scan, SpaceMoments, Sphere, Vector3};
+use crate::{Conical, Scan, SpaceMoments, Sphere, Vector3};
 
 /// What a Kinect v1 makes of a depth: Nguyen, Izadi and Lovell (2012), and steps of the disparity.
 fn kinect(z: f64, random: &mut Random) -> (f64, f64) {
@@ -18,7 +18,7 @@ fn can(distance: f64) -> Conical {
 
 /// Mean and standard deviation of the radius of a can over some frames.
 fn radius_of_can(distance: f64, hidden: f64, frames: u64) -> (f64, f64) {
-    let q = FixedSlope(can(distance)).coefficients();
+    let q = can(distance).coefficients();
     let half = (0.35 * CAMERA.fy / distance) as u32;
     let rows = 120 - half.min(110)..120 + half.min(110);
     let guess = Conical { axis: Vector3::new(0.05, 1.0, 0.1).normalize(), radius: 0.15, ..can(distance - 0.03) };
@@ -26,7 +26,7 @@ fn radius_of_can(distance: f64, hidden: f64, frames: u64) -> (f64, f64) {
         .map(|frame| {
             let mut random = Random(frame + 1);
             let pool = seen(&q, rows.clone(), hidden, |z| kinect(z, &mut random));
-            fit_surface(&pool.normalized().unwrap(), &FixedSlope(guess), f64::INFINITY).unwrap().surface.0.radius
+            fit_surface::<_, 5>(&pool.normalized().unwrap(), &guess, f64::INFINITY).unwrap().surface.radius
         })
         .collect();
     let mean = radii.iter().sum::<f64>() / frames as f64;
@@ -69,10 +69,10 @@ fn exact_points_give_each_surface_back() {
 
     let axis = Vector3::new(0.3, 0.9, -0.4).normalize();
     let cone = Conical { point: Vector3::new(0.1, 0.0, 1.3), axis, radius: 0.12, slope: 0.25 };
-    let pool = of_exact(&seen(&FreeSlope(cone).coefficients(), 80..160, 0.0, exact));
+    let pool = of_exact(&seen(&cone.coefficients(), 80..160, 0.0, exact));
     let start = Conical { axis: Vector3::y(), radius: 0.1, slope: 0.0, ..cone };
-    let found = fit_surface(&pool, &FreeSlope(start), f64::INFINITY).unwrap();
-    let surface = found.surface.0.anchored(&cone.point);
+    let found = fit_surface::<_, 6>(&pool, &start, f64::INFINITY).unwrap();
+    let surface = found.surface.anchored(&cone.point);
     assert!((surface.radius - 0.12).abs() < 1e-6 && (surface.slope - 0.25).abs() < 1e-6, "{found:?}");
     assert!((surface.axis - axis).norm() < 1e-6 && (surface.point - cone.point).norm() < 1e-6);
 }
@@ -89,11 +89,11 @@ fn a_fit_that_cannot_be_good_enough_is_given_up() {
     let start = Sphere { radius: 0.12, ..sphere };
     let best = fit_surface(&pool, &start, f64::INFINITY).unwrap();
     assert_eq!(fit_surface(&pool, &start, 0.2 * count), Some(best), "good enough: nothing else than without a limit");
-    let can = FixedSlope(Conical { radius: 0.12, ..can(1.5) });
-    let best = fit_surface(&pool, &can, f64::INFINITY).unwrap().square_sum;
+    let can = Conical { radius: 0.12, ..can(1.5) };
+    let best = fit_surface::<_, 5>(&pool, &can, f64::INFINITY).unwrap().square_sum;
     assert!(best > 0.5 * count, "{best} of {count}");
-    assert_eq!(fit_surface(&pool, &can, 0.2 * count), None);
-    assert!(fit_surface(&pool, &can, 1.1 * best).is_some());
+    assert_eq!(fit_surface::<_, 5>(&pool, &can, 0.2 * count), None);
+    assert!(fit_surface::<_, 5>(&pool, &can, 1.1 * best).is_some());
 }
 
 #[test]
@@ -112,11 +112,11 @@ fn a_fit_from_far_away_is_not_given_up_while_each_step_brings_it_much_nearer() {
 #[test]
 fn twice_as_large_and_far_away_a_can_is_known_as_well_in_metres_and_twice_as_well_in_angles() {
     let inverse = |scale: f64| {
-        let can = FixedSlope(Conical { radius: 0.2 * scale, ..can(scale) });
+        let can = Conical { radius: 0.2 * scale, ..can(scale) };
         let pool = of_exact(&seen(&can.coefficients(), 60..180, 0.0, exact));
-        fit_surface(&pool, &can, f64::INFINITY).unwrap().inverse
+        fit_surface::<_, 5>(&pool, &can, f64::INFINITY).unwrap().inverse
     };
-    let (near, far, lengths) = (inverse(1.0), inverse(2.0), FixedSlope::lengths());
+    let (near, far, lengths) = (inverse(1.0), inverse(2.0), <Conical as Surface<5>>::lengths());
     let unit = |i: usize| if lengths[i] { 1.0 } else { 0.5 };
     for (i, j) in (0..5).flat_map(|i| (0..5).map(move |j| (i, j))) {
         let (found, expected) = (far[(i, j)], near[(i, j)] * unit(i) * unit(j));
@@ -205,12 +205,12 @@ fn the_limit_of_a_fit_may_be_near_its_best_sum() {
     pool.add(&seen(&sphere.coefficients(), 96..144, 0.0, exact), 1.0 / 9e-6);
     let pool = pool.normalized().unwrap();
     for radius in [0.1, 0.12, 0.2] {
-        let start = FixedSlope(Conical { radius, ..can(1.5) });
-        let best = fit_surface(&pool, &start, f64::INFINITY).unwrap().square_sum;
+        let start = Conical { radius, ..can(1.5) };
+        let best = fit_surface::<_, 5>(&pool, &start, f64::INFINITY).unwrap().square_sum;
         for share in [0.2, 0.5, 0.8, 0.9, 0.95] {
-            assert_eq!(fit_surface(&pool, &start, share * best), None, "{share} of {best} from {radius} m");
+            assert_eq!(fit_surface::<_, 5>(&pool, &start, share * best), None, "{share} of {best} from {radius} m");
         }
-        assert!(fit_surface(&pool, &start, 1.01 * best).is_some());
+        assert!(fit_surface::<_, 5>(&pool, &start, 1.01 * best).is_some());
     }
 }
 
@@ -219,16 +219,16 @@ fn from_a_start_whose_first_step_goes_too_far_or_gains_little_a_fit_comes_to_its
     let axis = Vector3::new(0.3, 0.9, -0.4).normalize();
     let can = Conical { point: Vector3::new(0.1, 0.0, 1.3), axis, radius: 0.12, slope: 0.0 };
     let mut pool = SpaceMoments::default();
-    pool.add(&seen(&FixedSlope(can).coefficients(), 80..160, 0.0, exact), 1.0 / 9e-6);
+    pool.add(&seen(&can.coefficients(), 80..160, 0.0, exact), 1.0 / 9e-6);
     let pool = pool.normalized().unwrap();
     let [u, v] = can.across();
     for (tilt, radius, behind) in [(0.3, 0.3, 0.3), (0.3, 1.0, 0.3), (0.6, 0.3, -0.1), (0.0, 0.06, -0.1)] {
         let axis = (axis + (u * 0.6 + v * 0.8) * tilt).normalize();
-        let start = FixedSlope(Conical { point: can.point + Vector3::z() * behind, axis, radius, slope: 0.0 });
-        let best = fit_surface(&pool, &start, f64::INFINITY).unwrap();
-        let found = best.surface.0.anchored(&can.point);
+        let start = Conical { point: can.point + Vector3::z() * behind, axis, radius, slope: 0.0 };
+        let best = fit_surface::<_, 5>(&pool, &start, f64::INFINITY).unwrap();
+        let found = best.surface.anchored(&can.point);
         assert!((found.radius - 0.12).abs() < 1e-4 && found.axis.cross(&can.axis).norm() < 1e-4, "{found:?}");
-        assert_eq!(fit_surface(&pool, &start, 1.0), Some(best), "from {start:?}");
+        assert_eq!(fit_surface::<_, 5>(&pool, &start, 1.0), Some(best), "from {start:?}");
     }
 }
 

@@ -40,6 +40,9 @@ pub struct Sphere {
 }
 
 /// A circular cylinder (slope 0) or cone without ends.
+///
+/// As a [`Surface`] it has 5 parameters where the slope is kept: two tilts of the axis, two shifts across it, the radius. Where the
+/// slope is free, it is the sixth.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Conical {
     /// A point on the axis.
@@ -51,14 +54,6 @@ pub struct Conical {
     /// Change of the radius along the axis: the tangent of the half-angle.
     pub slope: f64,
 }
-
-/// A [`Conical`] whose slope is kept: 5 parameters, two tilts of the axis, two shifts across it, the radius.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FixedSlope(pub Conical);
-
-/// A [`Conical`] whose slope is free: 6 parameters, the slope last.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FreeSlope(pub Conical);
 
 impl Sphere {
     /// The forms by which other quadrics differ from it: F plus x times one of them is off it by about `x R / 2`, outwards in
@@ -217,33 +212,35 @@ impl Conical {
         (moved.radius > 0.0 && axis.iter().all(|x| x.is_finite())).then_some(moved)
     }
 
-    fn local(&self, origin: &Vector3, scale: f64) -> Self {
+    /// What [`Surface::to_local`] says, however many parameters are free.
+    pub(crate) fn to_local(self, origin: &Vector3, scale: f64) -> Self {
         let near = self.anchored(origin);
-        Self { point: (near.point - origin) / scale, radius: near.radius / scale, ..*self }
+        Self { point: (near.point - origin) / scale, radius: near.radius / scale, ..self }
     }
 
-    fn camera(&self, origin: &Vector3, scale: f64) -> Self {
-        Self { point: origin + self.point * scale, radius: self.radius * scale, ..*self }
+    /// What [`Surface::to_camera`] says, however many parameters are free.
+    pub(crate) fn to_camera(self, origin: &Vector3, scale: f64) -> Self {
+        Self { point: origin + self.point * scale, radius: self.radius * scale, ..self }
     }
 }
 
-/// Frees so many of the parameters of a [`Conical`].
+/// Frees the first so many of the parameters of a [`Conical`].
 macro_rules! free_parameters {
-    ($surface:ident: $count:literal) => {
-        impl Surface<$count> for $surface {
+    ($count:literal) => {
+        impl Surface<$count> for Conical {
             fn coefficients(&self) -> Coefficients {
-                self.0.coefficients()
+                Conical::coefficients(self)
             }
 
             fn derivatives(&self) -> [Coefficients; $count] {
-                let all = self.0.all_derivatives();
+                let all = self.all_derivatives();
                 std::array::from_fn(|i| all[i])
             }
 
             fn moved(&self, step: &[f64; $count]) -> Option<Self> {
                 let mut all = [0.0; 6];
                 all[..$count].copy_from_slice(step);
-                self.0.stepped(&all).map(Self)
+                self.stepped(&all)
             }
 
             fn lengths() -> [bool; $count] {
@@ -251,18 +248,18 @@ macro_rules! free_parameters {
             }
 
             fn to_local(&self, origin: &Vector3, scale: f64) -> Self {
-                Self(self.0.local(origin, scale))
+                Conical::to_local(*self, origin, scale)
             }
 
             fn to_camera(&self, origin: &Vector3, scale: f64) -> Self {
-                Self(self.0.camera(origin, scale))
+                Conical::to_camera(*self, origin, scale)
             }
         }
     };
 }
 
-free_parameters!(FixedSlope: 5);
-free_parameters!(FreeSlope: 6);
+free_parameters!(5);
+free_parameters!(6);
 
 /// `u v' + v u'`.
 fn symmetric(u: &Vector3, v: &Vector3) -> Matrix3<f64> {
@@ -365,7 +362,7 @@ mod tests {
         let center = Vector3::new(0.3, -0.2, 1.5);
         let ball = Sphere { center, radius: 0.4 }.coefficients();
         let leaning = Vector3::new(0.2, 0.9, -0.4).normalize();
-        let can = FixedSlope(Conical { point: center, axis: leaning, radius: 0.4, slope: 0.0 }).coefficients();
+        let can = Conical { point: center, axis: leaning, radius: 0.4, slope: 0.0 }.coefficients();
         for step in 0..400 {
             // How long it is does not matter.
             let ray = Vector3::new(f64::from(step % 20) - 8.0, f64::from(step / 20) - 11.0, 10.0) * 0.03;
@@ -381,8 +378,8 @@ mod tests {
     fn derivatives_are_those_of_the_coefficients() {
         let shifted = Conical { point: cone().across()[0] * 0.3 + cone().across()[1], ..cone() };
         check_derivatives(Sphere { center: Vector3::new(0.3, -0.4, 1.2), radius: 0.7 });
-        check_derivatives(FixedSlope(Conical { slope: 0.0, ..shifted }));
-        check_derivatives(FreeSlope(shifted));
+        check_derivatives::<5>(Conical { slope: 0.0, ..shifted });
+        check_derivatives::<6>(shifted);
     }
 
     #[test]
@@ -391,7 +388,7 @@ mod tests {
         let [u, _] = cone.across();
         let normal = (u - cone.axis * cone.slope).normalize();
         let near = |offset: f64| cone.point + u * cone.radius + normal * offset;
-        let q = FreeSlope(cone).coefficients();
+        let q = cone.coefficients();
         assert!(value(&q, &near(0.0)).abs() < 1e-12);
         assert!((value(&q, &near(1e-4)) - 1e-4).abs() < 1e-7);
         let sphere = Sphere { center: Vector3::new(0.1, 0.2, 2.0), radius: 0.3 };
@@ -444,7 +441,7 @@ mod tests {
     #[test]
     fn a_frame_of_a_fit_and_back_is_the_same_surface() {
         let (origin, scale) = (Vector3::new(0.2, 0.1, 1.5), 0.13);
-        let there = FreeSlope(cone()).to_local(&origin, scale);
+        let there = cone().to_local(&origin, scale);
         let back = there.to_camera(&origin, scale);
         let (point, local) = (Vector3::new(0.4, 0.7, 1.1), (Vector3::new(0.4, 0.7, 1.1) - origin) / scale);
         let ratio = value(&back.coefficients(), &point) / value(&there.coefficients(), &local);
@@ -454,7 +451,7 @@ mod tests {
     #[test]
     fn a_section_has_the_values_of_its_points() {
         let camera = Pinhole { fx: 290.0, fy: 290.0, cx: 159.5, cy: 119.5 };
-        let q = FreeSlope(cone()).coefficients();
+        let q = cone().coefficients();
         for plane in [camera.plane(Scan::Row, 30.0), camera.plane(Scan::Column, 300.0)] {
             let (s, t) = (0.3, 1.4);
             let c = section_of(&q, &plane);
@@ -474,7 +471,7 @@ mod tests {
 
     #[test]
     fn a_step_to_no_radius_or_to_no_axis_leads_to_no_surface() {
-        let cone = FreeSlope(cone());
+        let cone = cone();
         for step in [
             [0.0, 0.0, 0.0, 0.0, -0.8, 0.0],
             [f64::NAN, 0.0, 0.0, 0.0, 0.0, 0.0],

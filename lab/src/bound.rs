@@ -15,7 +15,7 @@
 
 use crate::bisection::end_of;
 use crate::simulator::raster::{NOBODY, Raster, ray};
-use conicflow_geometry::{Coefficients, Conical, FixedSlope, FreeSlope, Sphere, Surface, gradient};
+use conicflow_geometry::{Coefficients, Conical, Sphere, Surface, gradient};
 use conicflow_messages::{NoiseModel, Object, ObjectKind};
 use nalgebra::{SMatrix, SVector, Vector3};
 
@@ -65,8 +65,8 @@ pub fn bounds(raster: &Raster, owner: u16, body: &Object, measuring: &Measuring)
             axis: None,
             half_angle: None,
         }),
-        ObjectKind::Cylinder => view.bounds(&FixedSlope(conical), conical_bound),
-        ObjectKind::Cone => view.bounds(&FreeSlope(conical), |covariance| {
+        ObjectKind::Cylinder => view.bounds::<_, 5>(&conical, conical_bound),
+        ObjectKind::Cone => view.bounds::<_, 6>(&conical, |covariance| {
             // d atan(slope) = cos^2 d slope
             let half_angle = covariance[(5, 5)].sqrt() * body.half_angle.cos().powi(2);
             Bound { half_angle: Some(half_angle), ..conical_bound(covariance) }

@@ -30,7 +30,7 @@ pub enum Method {
 #[serde(default)]
 pub struct ObjectAssemblerConfig {
     /// How objects are found: by `pooled` moments of arcs (`arcs = "moments"` of the extractor), or by the paper's `profile`
-    /// of ellipses (`arcs = "conic"`).
+    /// of ellipses (`arcs = "conic"`). The table `pooled` holds for the former, the table `profile` for the latter.
     pub method: Method,
     /// What both methods have.
     #[serde(flatten)]

@@ -1,6 +1,7 @@
 //! The arcs of a message, ready for pooling, and which of them lie beside each other.
 
 use crate::camera::{pinhole, scan};
+use crate::extract::LEAST_VARIANCE;
 use conicflow_geometry::{
     Coefficients, ContourPoint, Pinhole, PlaneMoments, RaySums, Scan, ScanPlane, SpaceMoments, Vector3, bulge,
     gradient, meets, section_about,
@@ -13,15 +14,13 @@ use std::mem;
 use std::ops::Range;
 use std::sync::OnceLock;
 
-/// Least variance of an arc, in square metres: surfaces are rough by a tenth of a millimetre. It is for images without noise.
-const LEAST_VARIANCE: f64 = 1e-8; // [algorithmic]
 /// Steepest surface from line to line, as depth per distance across the view.
-const SLOPE: f64 = 5.0; // [tuned]
+const MAX_LINE_SLOPE: f64 = 5.0; // [tuned]
 /// Mean depths of arcs of one surface may differ by so many standard deviations more than the slope explains.
-const APART: f64 = 4.0; // [sigmas]
+const DEPTH_SIGMAS: f64 = 4.0; // [sigmas]
 /// Mean depths may differ further by this part of a pixel's width for each pixel by which one arc is longer: the points of half
 /// a circle lie in the mean `pi / 8` of its width before its centre.
-const LONGER: f64 = FRAC_PI_8; // [derived]
+const DEPTH_PER_PIXEL: f64 = FRAC_PI_8; // [derived]
 
 /// An arc with what the assembler needs of it.
 #[derive(Clone, Debug)]
@@ -51,7 +50,7 @@ pub(crate) struct Arc {
     pub center: Vector3,
     /// Angle that the points span about the centre of the circle.
     pub angle: f64,
-    /// Change of a ray, of which the depth is one, from pixel to pixel of the line and from line to line.
+    /// Change of a ray of depth one from pixel to pixel of the line, and from line to line.
     steps: [Vector3; 2],
     /// Slopes of the rays through the first and the last pixel.
     pub rays: [f64; 2],
@@ -207,7 +206,7 @@ impl Arc {
     }
 }
 
-/// Change of a ray, of which the depth is one, from pixel to pixel of a line and from line to line.
+/// Change of a ray of depth one from pixel to pixel of a line, and from line to line.
 fn steps(camera: &Pinhole, plane: &ScanPlane) -> [Vector3; 2] {
     let [along_rows, along_columns] = [Vector3::x() / camera.fx, Vector3::y() / camera.fy];
     match plane.scan() {
@@ -329,10 +328,10 @@ impl Arcs {
     /// Whether two arcs of near lines may belong to one surface.
     fn touches(&self, a: &Arc, b: &Arc) -> bool {
         let lines = f64::from(a.line.abs_diff(b.line));
-        let step = SLOPE * lines * a.spacing + APART * (a.variance / a.points.min(b.points)).sqrt();
-        // The depth of the mean differs with the columns that an arc covers, by no more than its bulge.
-        let bulge = LONGER * (a.pixels[1] - a.pixels[0]).abs_diff(b.pixels[1] - b.pixels[0]) as f64 * a.pitch;
-        a.overlap(b.pixels) > 0 && (a.mean.z - b.mean.z).abs() <= step + bulge
+        let step = MAX_LINE_SLOPE * lines * a.spacing + DEPTH_SIGMAS * (a.variance / a.points.min(b.points)).sqrt();
+        // The mean of a wider arc lies farther back, by no more than that of half a circle.
+        let wider = DEPTH_PER_PIXEL * (a.pixels[1] - a.pixels[0]).abs_diff(b.pixels[1] - b.pixels[0]) as f64 * a.pitch;
+        a.overlap(b.pixels) > 0 && (a.mean.z - b.mean.z).abs() <= step + wider
     }
 }
 
@@ -340,7 +339,7 @@ impl Arcs {
 mod tests {
     use super::super::tests::{arcs_from, arcs_of, ellipses_of_a_can, rows_of, straight, wall};
     use super::*;
-    use conicflow_geometry::{Conical, FixedSlope, Sphere, Surface as _, section_of};
+    use conicflow_geometry::{Conical, Sphere, Surface as _, section_of};
     use conicflow_lab::rendered::{KINECT_HALF, sphere};
     use conicflow_messages::NoiseModel;
     use std::f64::consts::PI;
@@ -404,7 +403,7 @@ mod tests {
             let points: Vec<_> = (0..20).map(|i| [f64::from(i) / 290.0 * away(i), plane.stretch() * away(i)]).collect();
             let moments = PlaneMoments::of([0.05, 0.9], points.iter().copied());
             let ellipse = Ellipse { origin: moments.origin(), moments: *moments.sums(), ..straight(line, 160, 0.0) };
-            let found = arcs_from(&[ellipse]).arcs[0].misfit(&FixedSlope(can).coefficients());
+            let found = arcs_from(&[ellipse]).arcs[0].misfit(&can.coefficients());
             let mean = |of: &dyn Fn(f64) -> f64| {
                 points.iter().map(|point| of(off(&can, &plane.to_camera(*point)))).sum::<f64>() / 20.0
             };
@@ -418,7 +417,7 @@ mod tests {
         let can = leaning();
         let mut met = [0; 2];
         for arc in &arcs_from(&[0, 60, 120, 180, 239].map(|line| straight(line, 150, 1.0))).arcs {
-            let section = section_of(&FixedSlope(can).coefficients(), &arc.plane);
+            let section = section_of(&can.coefficients(), &arc.plane);
             for x in (-20..=20).map(|i| 0.02 * f64::from(i)) {
                 let found = arc.hit(&section, x);
                 if let Some(z) = found {

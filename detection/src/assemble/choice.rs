@@ -120,8 +120,8 @@ fn better<'a>(simple: Candidate<'a>, general: Candidate<'a>, contours: &mut Cont
 /// the contour counts, too, or it would gain by what it misses.
 fn cost(mut region: Region, contours: &mut Contours) -> Option<f64> {
     region.model = model::fit(region.model.kind(), &region.arcs(), Some(&region.model), f64::INFINITY)?;
-    let cost = contours.fit(&region)?.cost();
-    Some(cost + contours.last().least_left_out())
+    let (model, contour) = contours.fit(&region)?;
+    Some(model.cost() + contour.least_left_out())
 }
 
 #[cfg(test)]
@@ -213,8 +213,8 @@ mod tests {
         for (kind, least, most) in [(ObjectKind::Cylinder, 30, 60), (ObjectKind::Cone, 0, 0)] {
             let region = candidate(&arcs, &members, kind, 1000.0).region;
             let mut contours = Contours::default();
-            let near = contours.fit(&region).unwrap().cost();
-            let far_off = contours.last().far_off();
+            let (model, contour) = contours.fit(&region).unwrap();
+            let (near, far_off) = (model.cost(), contour.far_off());
             assert!((least..=most).contains(&far_off), "{kind:?}: {far_off}");
             let expected = near + 3.5_f64.powi(2) * far_off as f64;
             let cost = cost(region, &mut Contours::default()).unwrap();

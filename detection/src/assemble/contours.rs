@@ -6,7 +6,7 @@
 //! by how much the contours of this sensor are off, and how far their points scatter, and the next one is measured the better for
 //! it.
 
-use super::model::{Model, pool_within, upright};
+use super::model::{Model, of_fit, pool_within, upright};
 use super::region::Region;
 use conicflow_geometry::{
     Contour, ContourBias, ContourNoise, Information, Scan, Surface, SurfaceFit, fit_with_contour,
@@ -140,18 +140,8 @@ impl Contours {
         scans.filter(|(_, learned)| learned.objects > 0.0).map(|(scan, learned)| learned.errors(scan))
     }
 
-    /// The contour that was fitted last.
-    pub fn last(&self) -> &Contour {
-        &self.contour
-    }
-
-    /// No contour.
-    pub fn clear(&mut self) {
-        self.contour.clear(ContourNoise::default());
-    }
-
-    /// The contour that a region shows, as far as it is near that of its model.
-    fn of(&mut self, region: &Region) -> &Contour {
+    /// The contour that a region shows, with only those of its points used that are near that of its model.
+    fn select_points(&mut self, region: &Region) -> &Contour {
         self.contour.clear(self.noise(region));
         region.arcs().flat_map(|arc| arc.contour).flatten().for_each(|point| self.contour.add(point));
         let [from, to] = region.span_of_means();
@@ -159,11 +149,11 @@ impl Contours {
         &self.contour
     }
 
-    /// The model of a region fitted anew, to its arcs and to the contour that they show.
-    pub fn fit(&mut self, region: &Region) -> Option<Model> {
+    /// The model of a region fitted anew, to its arcs and to the contour that they show, and this contour.
+    pub fn fit(&mut self, region: &Region) -> Option<(Model, &Contour)> {
         let mut region = *region;
         for _ in 0..PASSES {
-            let contour = self.of(&region);
+            let contour = self.select_points(&region);
             let moments = pool_within(&region, edge_px(contour)).normalized()?;
             region.model = match &region.model {
                 Model::Sphere(fit) => Model::Sphere(fit_with_contour(&moments, contour, &fit.surface)?),
@@ -171,7 +161,7 @@ impl Contours {
                 Model::Cone(fit) => Model::Cone(upright(fit_with_contour(&moments, contour, &fit.surface)?)),
             };
         }
-        Some(region.model)
+        Some((region.model, &self.contour))
     }
 
     /// Learns from an object where contours lie, and how far their points scatter. What is its own, and most of its noise, is in
@@ -179,12 +169,8 @@ impl Contours {
     /// surely moved since.
     pub fn learn(&mut self, region: &Region, object: &Object) {
         let own = covariance(own_px(window_px(region)), SYSTEMATIC);
-        let contour = self.of(region);
-        let shown = match &region.model {
-            Model::Sphere(fit) => shown(contour, fit, &own),
-            Model::Cylinder(fit) => shown(contour, fit, &own),
-            Model::Cone(fit) => shown(contour, fit, &own),
-        };
+        let contour = self.select_points(region);
+        let shown = of_fit!(&region.model, fit => shown(contour, fit, &own));
         if let Some((bias, noise)) = shown {
             let sides = [0, 1].map(|side| contour.used_on(side));
             if sides.iter().all(|(points, _)| *points == 0) {
@@ -401,7 +387,7 @@ mod tests {
     fn fitted<'a>(arcs: &'a Arcs, members: &'a [usize], contours: &mut Contours) -> Region<'a> {
         let model = model::fit(ObjectKind::Sphere, &arcs.of(members), None, f64::INFINITY).unwrap();
         let region = Region { arcs, model, members };
-        Region { model: contours.fit(&region).unwrap(), ..region }
+        Region { model: contours.fit(&region).unwrap().0, ..region }
     }
 
     /// What is found of a ball so far to the right.
@@ -449,7 +435,7 @@ mod tests {
                 let &[ContourErrors { scan: of, objects, sides, .. }] = &told[..] else { panic!("{told:?}") };
                 assert_eq!((of, objects), (scan, count));
                 for side in [0, 1] {
-                    points[side] += contours.last().used_on(side).0 as f64;
+                    points[side] += contours.contour.used_on(side).0 as f64;
                     assert!(sides[side].points == points[side] && points[side] > 50.0 * count, "{sides:?}");
                     assert!((sides[side].radius_px / expected_px - 1.0).abs() < 0.03, "{sides:?}, not {expected_px}");
                 }
@@ -474,15 +460,6 @@ mod tests {
         assert!((hidden.points, hidden.radius_px) == (0.0, 0.0) && seen.points > 50.0, "{told:?}");
         assert_eq!(hidden.outside_px, hidden.offset_px);
         assert!(hidden.outside_px[1] > 0.9 && seen.outside_px[1] < 0.2, "{told:?}");
-    }
-
-    #[test]
-    fn after_an_object_whose_contour_was_cleared_there_is_none() {
-        let ((arcs, members), mut contours) = (ball(Scan::Row), Contours::default());
-        fitted(&arcs, &members, &mut contours);
-        assert!(contours.last().points() > 100);
-        contours.clear();
-        assert_eq!(contours.last().points(), 0);
     }
 
     /// Of windows of three pixels, of which two share the noise of one.

@@ -8,29 +8,29 @@ use super::rejection::Rejection;
 use conicflow_messages::ObjectKind;
 
 /// Most arcs of a chain on each side of its seed.
-const CHAIN: usize = 12; // [algorithmic]
+const MAX_CHAIN_SIDE: usize = 12; // [algorithmic]
 /// Number of arcs in the middle of a chain that are tried if no model explains the whole chain.
-const CORE: usize = 9; // [algorithmic]
+const CORE_ARCS: usize = 9; // [algorithmic]
 /// Fewest arcs that a model is fitted to.
-const FEWEST: usize = 5; // [algorithmic]
+const MIN_FIT_ARCS: usize = 5; // [algorithmic]
 /// Most rounds of growing and refitting; each round doubles the extent at most.
-const ROUNDS: usize = 7; // [algorithmic]
+const MAX_ROUNDS: usize = 7; // [algorithmic]
 /// The summed bulge of a chain has to exceed that of straight arcs by so many standard deviations.
-const CURVED: f64 = 3.0; // [sigmas]
+const CHAIN_SIGMAS: f64 = 3.0; // [sigmas]
 /// Mean and variance of the bulge that noise gives a straight arc: zero for one arc in two, else chi squared with one degree
 /// of freedom.
 const STRAIGHT: [f64; 2] = [0.5, 1.25]; // [derived] [derived]
 /// Pixels on both sides of the arcs of one line within which arcs of the next line are accepted.
-const MARGIN_PX: i64 = 2; // [tuned]
-/// One further pixel is added to that margin for each so many pixels of the arcs.
-const MARGIN_SHARE: i64 = 8; // [tuned]
+const BESIDE_MARGIN_PX: i64 = 2; // [tuned]
+/// That margin is wider by the length of the arcs over this.
+const BESIDE_MARGIN_DIVISOR: i64 = 8; // [tuned]
 /// Number of lines by which a model of few lines may grow in one round.
 const LEAST_STEP: i64 = 4; // [algorithmic]
-/// Widest gap that is bridged, as a part of the lines of the object: something stands before it.
-const GAP: f64 = 0.5; // [tuned]
-/// What lies beyond a gap has at least so many times as many lines as the gap. Fewer, of all that were looked at, are explained
-/// by chance: such as a line of the lid of a can, where its far wall would be.
-const BEYOND_GAP: f64 = 0.1; // [tuned]
+/// Widest gap that is bridged, as a part of the lines of the object: something may stand before it.
+const MAX_GAP_SHARE: f64 = 0.5; // [tuned]
+/// Beyond a gap there have to be at least so many times as many lines as in it. Where so many lines are tried, a few are
+/// explained by chance, such as a line of the lid of a can where its far wall would be.
+const MIN_LINES_PER_GAP_LINE: f64 = 0.1; // [tuned]
 
 /// A radius that exceeds its limit by so many standard deviations is that of a wall.
 const TOO_LARGE: f64 = 4.0; // [sigmas]
@@ -54,8 +54,9 @@ const SETTLED: Gate = Gate { scatter: 2.5, slack: 0.15 }; // [sigmas] [tuned]
 /// For the first and the last arcs of a model that has grown: an object meets the floor, a rim or another object there.
 const AT_ENDS: Gate = Gate { scatter: 1.2, slack: 0.0 }; // [sigmas]
 /// For what lies beyond a model that has grown: what is farther off than noise explains is not of its surface.
-pub(crate) const BEYOND: Gate = Gate { scatter: 2.5, slack: 0.0 }; // [sigmas]
-/// The variance of the model counts so many times in a mean square, because it differs along an arc.
+pub(crate) const NOISE_ONLY: Gate = Gate { scatter: 2.5, slack: 0.0 }; // [sigmas]
+/// In a mean square the variance of the model counts so many times: it is that in the middle of the arc, and elsewhere on the arc
+/// it is larger.
 const ALONG_ARC: f64 = 4.0; // [tuned]
 
 impl Gate {
@@ -108,7 +109,7 @@ pub(crate) fn chain(arcs: &Arcs, seed: usize, gap: i64, free: impl Fn(usize) -> 
     chain.clear();
     for side in [-1, 1] {
         let mut at = seed;
-        for _ in 0..CHAIN {
+        for _ in 0..MAX_CHAIN_SIDE {
             let Some(next) = arcs.beside(at, side, gap, free) else { break };
             chain.push(next);
             at = next;
@@ -128,7 +129,7 @@ pub(crate) fn is_promising(arcs: &Arcs, chain: &[usize], parameters: &AssemblerP
     let bulge: f64 = chain.iter().map(|&index| arcs.arcs[index].bulge).sum();
     let [mean, variance] = STRAIGHT.map(|moment| moment * chain.len() as f64);
     let variance = variance * arcs.shared_lines(chain);
-    if bulge > mean + CURVED * variance.sqrt() { Ok(()) } else { Err(Rejection::Flat) }
+    if bulge > mean + CHAIN_SIGMAS * variance.sqrt() { Ok(()) } else { Err(Rejection::Flat) }
 }
 
 /// What a growth starts from.
@@ -165,7 +166,7 @@ fn grow(
     Growth { grown: first.and_then(|first| grow_on(arcs, first, parameters, free, members, spare)), from_whole }
 }
 
-/// Takes in what the model explains, and fits it again, as long as that makes more of it, and it is no wall.
+/// Takes in what the model explains and fits it again, as long as it takes in more; gives up what is a wall.
 fn grow_on(
     arcs: &Arcs,
     mut model: Model,
@@ -175,9 +176,9 @@ fn grow_on(
     spare: &mut Vec<usize>,
 ) -> Result<Model, Rejection> {
     let kind = model.kind();
-    for round in 0..ROUNDS {
+    for round in 0..MAX_ROUNDS {
         reach(&Region { arcs, model, members }, parameters.max_gap(), free, spare);
-        if spare.len() < FEWEST {
+        if spare.len() < MIN_FIT_ARCS {
             return Err(Rejection::NotGrown);
         }
         if round > 0 && spare == members {
@@ -194,7 +195,7 @@ fn grow_on(
     for _ in 0..2 {
         let before = members.len();
         clean(arcs, &model, members);
-        if members.len() < FEWEST {
+        if members.len() < MIN_FIT_ARCS {
             return Err(Rejection::NotGrown);
         }
         // The model is that of these members already.
@@ -206,10 +207,10 @@ fn grow_on(
     Ok(model)
 }
 
-/// The model of the chain, if it explains it, or else of its middle.
+/// The model of the chain if it explains the chain, else one of its middle.
 fn first(arcs: &Arcs, start: &Start, members: &mut Vec<usize>) -> Option<Model> {
     let &Start { kind, chain, guess, middle_will_do } = start;
-    let lengths = [chain.len(), CORE, FEWEST];
+    let lengths = [chain.len(), CORE_ARCS, MIN_FIT_ARCS];
     for length in if middle_will_do { &lengths[..] } else { &lengths[..1] } {
         let start = chain.len().saturating_sub(*length) / 2;
         members.clear();
@@ -230,7 +231,7 @@ fn reach(region: &Region, gap: i64, free: impl Fn(usize) -> bool, found: &mut Ve
     let Region { arcs, model, members } = region;
     let line = |index: usize| i64::from(arcs.arcs[members[index]].line);
     let (from, to) = (line(0), line(members.len() - 1));
-    let (gap, more) = (gap.max((GAP * members.len() as f64) as i64), (to - from + 1).max(LEAST_STEP));
+    let (gap, more) = (gap.max((MAX_GAP_SHARE * members.len() as f64) as i64), (to - from + 1).max(LEAST_STEP));
     let middle = &arcs.arcs[members[members.len() / 2]];
     let (q, predictor) = (model.coefficients(), Predictor::new(model));
     let accept = |index: usize| {
@@ -247,7 +248,7 @@ fn reach(region: &Region, gap: i64, free: impl Fn(usize) -> bool, found: &mut Ve
             line += 1;
         }
         while misses <= gap && line >= from - more && line <= to + more {
-            let (before, margin) = (found.len(), (span[1] - span[0]) / MARGIN_SHARE + MARGIN_PX);
+            let (before, margin) = (found.len(), (span[1] - span[0]) / BESIDE_MARGIN_DIVISOR + BESIDE_MARGIN_PX);
             let near = [span[0] - margin, span[1] + margin];
             found.extend(arcs.on_line(middle.scan, line).filter(|&index| arcs.reaches(index, near) && accept(index)));
             misses = if found.len() > before { 0 } else { misses + 1 };
@@ -275,7 +276,7 @@ fn clean(arcs: &Arcs, model: &Model, members: &mut Vec<usize>) {
 
 /// Leaves out, at either end, the few lines that lie beyond a gap.
 fn drop_strays(members: &mut Vec<usize>, line: impl Fn(usize) -> f64) {
-    let are_few = |beyond: f64, pair: &[usize]| beyond < BEYOND_GAP * (line(pair[1]) - line(pair[0]) - 1.0);
+    let are_few = |beyond: f64, pair: &[usize]| beyond < MIN_LINES_PER_GAP_LINE * (line(pair[1]) - line(pair[0]) - 1.0);
     let lines_from = |from: usize, to: usize| line(to) - line(from) + 1.0;
     let Some(&last) = members.last() else { return };
     let stray = members.windows(2).position(|pair| are_few(lines_from(pair[1], last), pair));
@@ -330,7 +331,7 @@ mod tests {
         let mut arc = arcs.arcs[0].clone();
         arc.points = 1e8;
         let sigma = arc.variance.sqrt();
-        for (gate, most) in [(GROWING, 0.3_f64.sqrt()), (SETTLED, 0.15_f64.sqrt()), (BEYOND, 0.0)] {
+        for (gate, most) in [(GROWING, 0.3_f64.sqrt()), (SETTLED, 0.15_f64.sqrt()), (NOISE_ONLY, 0.0)] {
             let admits = |mean: f64| gate.admits(&arc, &Misfit { square: 0.0, mean: mean * sigma }, 0.0);
             assert_eq!([0.99 * most, most + 0.01, -most - 0.01].map(admits), [true, false, false], "{most}");
         }
@@ -356,11 +357,11 @@ mod tests {
         let (arcs, [left, _]) = two_cans();
         let (middle, mut found) = (left.len() / 2, Vec::new());
         chain(&arcs, left[middle], 4, |_| true, &mut found);
-        assert_eq!(found, left[middle - CHAIN..=middle + CHAIN]);
+        assert_eq!(found, left[middle - MAX_CHAIN_SIDE..=middle + MAX_CHAIN_SIDE]);
         chain(&arcs, left[1], 4, |_| true, &mut found);
-        assert_eq!(found, left[..=1 + CHAIN], "there is nothing before the first");
+        assert_eq!(found, left[..=1 + MAX_CHAIN_SIDE], "there is nothing before the first");
         chain(&arcs, left[middle], 4, |index| index >= left[middle], &mut found);
-        assert_eq!(found, left[middle..=middle + CHAIN], "what is before it belongs to another");
+        assert_eq!(found, left[middle..=middle + MAX_CHAIN_SIDE], "what is before it belongs to another");
     }
 
     /// Of 16 straight arcs the bulges sum up to 8, with a standard deviation of 4.47 where the noise of each is its own, and of
@@ -489,7 +490,7 @@ mod tests {
         let (arcs, _) = two_cans();
         let (mut arc, unsure) = (arcs.arcs[0].clone(), 0.01_f64);
         arc.points = 1e8;
-        let admits = |square: f64, mean: f64| BEYOND.admits(&arc, &Misfit { square, mean }, unsure * unsure);
+        let admits = |square: f64, mean: f64| NOISE_ONLY.admits(&arc, &Misfit { square, mean }, unsure * unsure);
         assert_eq!([2.4, 2.6].map(|sigmas| admits(0.0, sigmas * unsure)), [true, false]);
         assert_eq!([3.9, 4.1].map(|squares| admits(squares * unsure * unsure, 0.0)), [true, false]);
     }
@@ -499,7 +500,7 @@ mod tests {
         let (arcs, [left, _]) = two_cans();
         let model = model::fit(ObjectKind::Cylinder, &arcs.of(&left), None, f64::INFINITY);
         let Some(Model::Cylinder(mut fit)) = model else { panic!("{model:?}") };
-        fit.surface.0.point.z -= 0.1;
+        fit.surface.point.z -= 0.1;
         let mut reached = || {
             let (model, mut found) = (Model::Cylinder(fit), Vec::new());
             reach(&Region { arcs: &arcs, model, members: &left }, 4, |_| true, &mut found);

@@ -3,14 +3,14 @@
 use super::arcs::{Arc, Misfit};
 use super::region::Region;
 use conicflow_geometry::{
-    ArcFit, Coefficients, Conical, FixedSlope, FreeSlope, Line, LineMoments, Prediction, QuadricMoments, SpaceMoments,
-    Sphere, Surface, SurfaceFit, Vector3, across, fit_surface,
+    ArcFit, Coefficients, Conical, Line, LineMoments, Prediction, QuadricMoments, SpaceMoments, Sphere, Surface,
+    SurfaceFit, Vector3, across, fit_surface,
 };
 use conicflow_messages::ObjectKind;
 
-/// Least radius at an arc of a cone, as a part of the radius in its middle: it keeps weights finite near the apex, where points
-/// are off by nobody knows how much.
-const LEAST_EXCESS: f64 = 0.05; // [algorithmic]
+/// Least radius at an arc of a cone, as a part of that at its point. It keeps weights finite near the apex, where F tells no
+/// distance.
+const MIN_RADIUS_RATIO: f64 = 0.05; // [algorithmic]
 /// The first fit of a cone may leave so many times the square sum of its refit: it weighs the arcs as those of a cylinder.
 const UNWEIGHTED: f64 = 2.0; // [algorithmic]
 /// Largest slope of a cone: the fit of a steeper one has diverged.
@@ -23,9 +23,21 @@ const WIDEST: f64 = 2.0; // [algorithmic]
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Model {
     Sphere(SurfaceFit<Sphere, 4>),
-    Cylinder(SurfaceFit<FixedSlope, 5>),
-    Cone(SurfaceFit<FreeSlope, 6>),
+    Cylinder(SurfaceFit<Conical, 5>),
+    Cone(SurfaceFit<Conical, 6>),
 }
+
+/// What some expression tells of the fit, whatever the shape is.
+macro_rules! of_fit {
+    ($model:expr, $fit:ident => $told:expr) => {
+        match $model {
+            $crate::assemble::model::Model::Sphere($fit) => $told,
+            $crate::assemble::model::Model::Cylinder($fit) => $told,
+            $crate::assemble::model::Model::Cone($fit) => $told,
+        }
+    };
+}
+pub(super) use of_fit;
 
 impl Model {
     pub fn kind(&self) -> ObjectKind {
@@ -37,19 +49,14 @@ impl Model {
     }
 
     pub fn coefficients(&self) -> Coefficients {
-        match self {
-            Self::Sphere(fit) => fit.surface.coefficients(),
-            Self::Cylinder(fit) => fit.surface.coefficients(),
-            Self::Cone(fit) => fit.surface.coefficients(),
-        }
+        of_fit!(self, fit => fit.surface.coefficients())
     }
 
     /// Axis and profile of a cylinder or cone.
     pub fn conical(&self) -> Option<Conical> {
         match self {
             Self::Sphere(_) => None,
-            Self::Cylinder(fit) => Some(fit.surface.0),
-            Self::Cone(fit) => Some(fit.surface.0),
+            Self::Cylinder(SurfaceFit { surface, .. }) | Self::Cone(SurfaceFit { surface, .. }) => Some(*surface),
         }
     }
 
@@ -57,8 +64,9 @@ impl Model {
     pub fn axis(&self) -> (Vector3, Vector3) {
         match self {
             Self::Sphere(fit) => (fit.surface.center, Vector3::zeros()),
-            Self::Cylinder(fit) => (fit.surface.0.point, fit.surface.0.axis),
-            Self::Cone(fit) => (fit.surface.0.point, fit.surface.0.axis),
+            Self::Cylinder(SurfaceFit { surface, .. }) | Self::Cone(SurfaceFit { surface, .. }) => {
+                (surface.point, surface.axis)
+            }
         }
     }
 
@@ -66,8 +74,8 @@ impl Model {
     pub fn radius(&self) -> (f64, f64) {
         match self {
             Self::Sphere(fit) => (fit.surface.radius, fit.inverse[(3, 3)]),
-            Self::Cylinder(fit) => (fit.surface.0.radius, fit.inverse[(4, 4)]),
-            Self::Cone(fit) => (fit.surface.0.radius, fit.inverse[(4, 4)]),
+            Self::Cylinder(fit) => (fit.surface.radius, fit.inverse[(4, 4)]),
+            Self::Cone(fit) => (fit.surface.radius, fit.inverse[(4, 4)]),
         }
     }
 
@@ -75,40 +83,33 @@ impl Model {
     pub fn radius_at(&self, mean: &Vector3) -> f64 {
         match self {
             Self::Sphere(fit) => fit.surface.radius,
-            Self::Cylinder(fit) => fit.surface.0.radius,
-            Self::Cone(fit) => fit.surface.0.radius_at(mean),
+            Self::Cylinder(fit) => fit.surface.radius,
+            Self::Cone(fit) => fit.surface.radius_at(mean),
         }
     }
 
-    /// By how much F is too great at an arc (see [`Conical`]); below zero beyond the apex of a cone.
-    fn excess(&self, arc: &Arc) -> f64 {
+    /// Radius of a cone at an arc over that at its point: F is too great there by this factor (see [`Conical`]). Below zero
+    /// beyond the apex.
+    fn radius_ratio(&self, arc: &Arc) -> f64 {
         match self {
-            Self::Cone(fit) => fit.surface.0.radius_at(&arc.mean) / fit.surface.0.radius,
+            Self::Cone(fit) => fit.surface.radius_at(&arc.mean) / fit.surface.radius,
             _ => 1.0,
         }
     }
 
     /// The weight of a point of an arc: one over the variance of F there.
     pub fn weight(&self, arc: &Arc) -> f64 {
-        1.0 / (arc.variance * self.excess(arc).max(LEAST_EXCESS).powi(2))
+        1.0 / (arc.variance * self.radius_ratio(arc).max(MIN_RADIUS_RATIO).powi(2))
     }
 
     /// Weighted sum of the squared distances.
     pub fn square_sum(&self) -> f64 {
-        match self {
-            Self::Sphere(fit) => fit.square_sum,
-            Self::Cylinder(fit) => fit.square_sum,
-            Self::Cone(fit) => fit.square_sum,
-        }
+        of_fit!(self, fit => fit.square_sum)
     }
 
     /// Weighted sum of the squared distances of the contour.
     pub fn contour_sum(&self) -> f64 {
-        match self {
-            Self::Sphere(fit) => fit.contour_sum,
-            Self::Cylinder(fit) => fit.contour_sum,
-            Self::Cone(fit) => fit.contour_sum,
-        }
+        of_fit!(self, fit => fit.contour_sum)
     }
 
     /// Weighted sum of the squared distances of points and contour.
@@ -119,9 +120,9 @@ impl Model {
     /// How far the points of an arc are off the model, of which `q` are the coefficients; `None` near and beyond the apex of a
     /// cone.
     pub fn misfit(&self, q: &Coefficients, arc: &Arc) -> Option<Misfit> {
-        let excess = self.excess(arc);
+        let ratio = self.radius_ratio(arc);
         let Misfit { square, mean } = arc.misfit(q);
-        (excess > LEAST_EXCESS).then(|| Misfit { square: square / (excess * excess), mean: mean / excess })
+        (ratio > MIN_RADIUS_RATIO).then(|| Misfit { square: square / (ratio * ratio), mean: mean / ratio })
     }
 }
 
@@ -210,7 +211,7 @@ fn fit_cylinder<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option
     let moments = pool(arcs.clone(), precision).normalized()?;
     let start = match last {
         Some(Model::Cylinder(fit)) => fit.surface,
-        _ => FixedSlope(start(arcs.clone(), &moments)?),
+        _ => start(arcs.clone(), &moments)?,
     };
     fit_surface(&moments, &start, most).map(Model::Cylinder)
 }
@@ -221,11 +222,11 @@ fn fit_cone<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Mo
         _ => {
             let moments = pool(arcs.clone(), precision).normalized()?;
             let start = match last {
-                Some(Model::Cylinder(fit)) => fit.surface.0,
+                Some(Model::Cylinder(fit)) => fit.surface,
                 _ => start(arcs.clone(), &moments)?,
             };
-            let fit = fit_surface(&moments, &FreeSlope(start), UNWEIGHTED * most)?;
-            (fit.surface.0.slope.abs() <= STEEPEST).then_some(fit)?
+            let fit = fit_surface(&moments, &start, UNWEIGHTED * most)?;
+            (fit.surface.slope.abs() <= STEEPEST).then_some(fit)?
         }
     };
     let moments = pool(arcs.clone(), |arc| Model::Cone(first).weight(arc)).normalized()?;
@@ -233,15 +234,15 @@ fn fit_cone<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Mo
 }
 
 /// The same cone, its axis pointing away from the apex.
-pub(super) fn upright(fit: SurfaceFit<FreeSlope, 6>) -> SurfaceFit<FreeSlope, 6> {
-    if fit.surface.0.slope >= 0.0 {
+pub(super) fn upright(fit: SurfaceFit<Conical, 6>) -> SurfaceFit<Conical, 6> {
+    if fit.surface.slope >= 0.0 {
         return fit;
     }
     let mut flipped = fit;
-    let before = fit.surface.0;
-    flipped.surface.0 = Conical { axis: -before.axis, slope: -before.slope, ..before };
+    let before = fit.surface;
+    flipped.surface = Conical { axis: -before.axis, slope: -before.slope, ..before };
     // Parameters: tilts, shifts, radius, slope; the directions across turn with the axis.
-    let (old, new) = (before.across(), flipped.surface.0.across());
+    let (old, new) = (before.across(), flipped.surface.across());
     let turn = |i: usize| new[i].dot(&old[i]);
     let signs = [-turn(0), -turn(1), turn(0), turn(1), 1.0, -1.0];
     for i in 0..6 {
@@ -298,7 +299,7 @@ mod tests {
         frustum(cone.point, cone.axis, cone.radius, cone.slope, 0.6)
     }
 
-    fn fitted(arcs: &Arcs, rows: &[usize]) -> SurfaceFit<FreeSlope, 6> {
+    fn fitted(arcs: &Arcs, rows: &[usize]) -> SurfaceFit<Conical, 6> {
         match fit(ObjectKind::Cone, &arcs.of(rows), None, f64::INFINITY) {
             Some(Model::Cone(fit)) => fit,
             other => panic!("{other:?}"),
@@ -313,10 +314,10 @@ mod tests {
         let (rows, depth) = (rows_of(&arcs, |arc| cone.radius_at(&arc.mean) > 0.14), 0.004);
         let mut fit = fitted(&arcs, &rows);
         // Farther in everywhere by so much, across its surface.
-        fit.surface.0 = Conical { radius: cone.radius - depth / cone.half_angle().cos(), ..cone };
+        fit.surface = Conical { radius: cone.radius - depth / cone.half_angle().cos(), ..cone };
         let model = Model::Cone(fit);
-        let excesses: Vec<_> = arcs.of(&rows).map(|arc| model.excess(arc)).collect();
-        assert!(excesses.iter().any(|excess| *excess < 0.8) && excesses.iter().any(|excess| *excess > 1.3));
+        let ratios: Vec<_> = arcs.of(&rows).map(|arc| model.radius_ratio(arc)).collect();
+        assert!(ratios.iter().any(|ratio| *ratio < 0.8) && ratios.iter().any(|ratio| *ratio > 1.3));
         for arc in arcs.of(&rows) {
             let Misfit { square, mean } = model.misfit(&model.coefficients(), arc).unwrap();
             assert!((mean / depth - 1.0).abs() < 0.1, "{mean} m, where it is {} m wide", cone.radius_at(&arc.mean));
@@ -331,17 +332,17 @@ mod tests {
         let rows = rows_of(&arcs, |arc| arc.mean.z < 2.5);
         let (fit, mut contours) = (fitted(&arcs, &rows), Contours::default());
         let region = Region { arcs: &arcs, model: Model::Cone(fit), members: &rows };
-        contours.fit(&region).unwrap();
+        let (_, contour) = contours.fit(&region).unwrap();
         let points = pool_within(&region, 0.0).normalized().unwrap();
-        let before = fit.surface.0;
-        let start = FreeSlope(Conical { axis: -before.axis, slope: -before.slope, ..before });
-        let downwards = fit_with_contour(&points, contours.last(), &start).unwrap();
+        let before = fit.surface;
+        let start = Conical { axis: -before.axis, slope: -before.slope, ..before };
+        let downwards = fit_with_contour(&points, contour, &start).unwrap();
         let upwards = upright(downwards);
-        let (up, down) = (upwards.surface.0, downwards.surface.0);
+        let (up, down) = (upwards.surface, downwards.surface);
         assert!(
             down.slope < -0.2 && up.slope == -down.slope && up.axis == -down.axis && up.axis.dot(&cone.axis) > 0.99
         );
-        let of = |fit: &SurfaceFit<FreeSlope, 6>, point: &Vector3| {
+        let of = |fit: &SurfaceFit<Conical, 6>, point: &Vector3| {
             let contour = SurfaceFit { inverse: fit.contour, ..*fit };
             [fit, &contour].map(|fit| Prediction::new(fit).variance(point))
         };
@@ -358,12 +359,9 @@ mod tests {
         let rows = rows_of(&arcs, |arc| arc.mean.z < 2.5);
         for kind in [ObjectKind::Cylinder, ObjectKind::Cone] {
             let model = fit(kind, &arcs.of(&rows), None, f64::INFINITY).unwrap();
-            let model = Contours::default().fit(&Region { arcs: &arcs, model, members: &rows }).unwrap();
-            let (square_sum, contour_sum) = match &model {
-                Model::Sphere(fit) => (fit.square_sum, fit.contour_sum),
-                Model::Cylinder(fit) => (fit.square_sum, fit.contour_sum),
-                Model::Cone(fit) => (fit.square_sum, fit.contour_sum),
-            };
+            let mut contours = Contours::default();
+            let (model, _) = contours.fit(&Region { arcs: &arcs, model, members: &rows }).unwrap();
+            let (square_sum, contour_sum) = of_fit!(&model, fit => (fit.square_sum, fit.contour_sum));
             assert!(model.cost() == square_sum + contour_sum && contour_sum > 1.0, "{kind:?}: {contour_sum}");
         }
     }

@@ -7,7 +7,7 @@
 //! prints how often candidates of each confidence are right.
 
 use super::arcs::Arc;
-use super::growth::BEYOND;
+use super::growth::NOISE_ONLY;
 use super::region::Region;
 use super::verify::Candidate;
 use conicflow_messages::{Object, ObjectKind};
@@ -116,15 +116,15 @@ impl Evidence {
 }
 
 /// How far beyond an end of a region a surface goes on that stays near its own and yet surely leaves it, in radii. What ends there
-/// does not go on, nor does what turns off at once. Where lines share their noise, a window was compared for each pixel, which mixes
-/// what adjoins over half of its width: those lines do not count.
+/// does not go on, nor does what turns off at once. Where lines share their noise, the camera compared a window for each pixel, and
+/// half of that window mixes in what adjoins: those lines do not count.
 fn goes_on(region: &Region, side: i64, gap: i64, radius: f64) -> f64 {
     let (q, end) = (region.model.coefficients(), region.ends()[usize::from(side > 0)]);
     let lines_to = |arc: &Arc| f64::from(arc.line.abs_diff(end.line));
     let followed = region.beyond(side, gap).take_while(|arc| lines_to(arc) * end.spacing <= MOST_BEYOND * radius);
     let misfits = followed.map_while(|arc| Some((arc, region.model.misfit(&q, arc)?)));
     let near = misfits.take_while(|(_, misfit)| misfit.mean.abs() < NEAR * radius);
-    let last_off = near.filter(|(arc, misfit)| !BEYOND.admits(arc, misfit, 0.0)).last();
+    let last_off = near.filter(|(arc, misfit)| !NOISE_ONLY.admits(arc, misfit, 0.0)).last();
     let lines = last_off.map_or(0.0, |(arc, _)| lines_to(arc));
     (lines - 0.5 * (region.shared_lines() - 1.0)).max(0.0) * end.spacing / radius
 }

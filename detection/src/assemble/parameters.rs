@@ -117,7 +117,7 @@ pub struct AssemblerParameters {
     /// Least `confidence` of an object, the probability that it is one: what is less probable is not reported.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub min_confidence: f64,
-    /// What an object has to be for `method = "pooled"`, the default, to report it.
+    /// What an object has to be for it to be reported.
     pub pooled: PooledParameters,
 }
 

@@ -9,7 +9,7 @@ use nalgebra::Matrix3;
 
 /// Standard deviations by which the middle of one lies in the other. Things that stand on each other touch, and a ball that is cut off
 /// by a can has its middle where the can ends.
-const WITHIN: f64 = 3.0; // [sigmas]
+const INSIDE_SIGMAS: f64 = 3.0; // [sigmas]
 
 /// Whether the middle of one of two objects surely lies in the other, and the candidate is not seen inside of what is known: a fruit
 /// in a bowl shows that the bowl is hollow. The other way round, the candidate is explained by what is in it.
@@ -33,7 +33,7 @@ fn holds(outer: &Object, inner: &Object, point: Vector3) -> bool {
     let away = point - Vector3::from(outer.center);
     let is_deep = |depth: f64, along: Vector3, sigma: f64| {
         let variance = along.dot(&(covariance * along)) + sigma * sigma;
-        depth > WITHIN * variance.sqrt()
+        depth > INSIDE_SIGMAS * variance.sqrt()
     };
     let is_in_side = |radius: f64, across: Vector3| {
         let direction = across.try_normalize(0.0).unwrap_or_default();

@@ -40,7 +40,7 @@ impl<'a> Region<'a> {
     }
 
     /// The arcs beyond its first line (`side` -1) or its last (1), one line after another: none is a member, and each touches the
-    /// one before it, be it behind a gap of as many lines.
+    /// one before it, over at most `gap` lines.
     pub fn beyond(&self, side: i64, gap: i64) -> impl Iterator<Item = &'a Arc> + use<'a> {
         let Self { arcs, members, .. } = *self;
         let end = members[if side < 0 { 0 } else { members.len() - 1 }];

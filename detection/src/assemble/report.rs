@@ -33,7 +33,7 @@ pub fn end_sigma(spacing: f64, plane: &ScanPlane, axis: &Vector3) -> f64 {
     END_LINES * spacing_along(spacing, plane, axis)
 }
 
-/// What is told of a region that was verified.
+/// The object as which a verified region is reported.
 pub(super) fn report(region: &Region, measured: &Measured) -> Object {
     let center = verify::middle(region, measured);
     let object = Object {
@@ -59,14 +59,14 @@ pub(super) fn report(region: &Region, measured: &Measured) -> Object {
         }
         Model::Cylinder(fit) => {
             let covariance = covariance(region, fit);
-            let surface = fit.surface.0;
+            let surface = fit.surface;
             let sigma = conical_sigma(&surface, &covariance, measured, end(&surface));
             let length = measured.extent[1] - measured.extent[0];
             Object { radius: surface.radius, axis: surface.axis.into(), length, sigma, ..object }
         }
         Model::Cone(fit) => {
             let covariance = covariance(region, fit);
-            let surface = fit.surface.0;
+            let surface = fit.surface;
             let half_angle = surface.half_angle();
             let as_cylinder = covariance.fixed_view::<5, 5>(0, 0).into_owned();
             let mut sigma = conical_sigma(&surface, &as_cylinder, measured, end(&surface));
@@ -291,7 +291,7 @@ mod tests {
         let region = fitted(&arcs, &members, ObjectKind::Cone);
         let Model::Cone(fit) = &region.model else { unreachable!() };
         let (told, z) = (report(&region, &measured([-0.1, 0.5])), 0.2);
-        let (covariance, slope) = (covariance(&region, fit), fit.surface.0.slope);
+        let (covariance, slope) = (covariance(&region, fit), fit.surface.slope);
         let by = SMatrix::<f64, 1, 6>::from_row_slice(&[0.0, 0.0, 0.0, 0.0, 1.0, z]);
         let radius = (by * covariance * by.transpose())[0].sqrt();
         let error = (SYSTEMATIC * told.radius).hypot(SYSTEMATIC_PX * region.ends()[0].pitch);
@@ -299,7 +299,7 @@ mod tests {
         let steeper = slope + covariance[(5, 5)].sqrt() * 1e-3;
         let half_angle = 1e3 * (steeper.atan() - slope.atan());
         assert!((told.sigma.half_angle / half_angle.hypot(SQRT_2 * error / 0.6) - 1.0).abs() < 1e-4);
-        assert!((told.radius - (fit.surface.0.radius + z * slope)).abs() < 1e-12);
+        assert!((told.radius - (fit.surface.radius + z * slope)).abs() < 1e-12);
         assert!((told.rms - 0.001).abs() < 1e-12, "half the noise of 2 mm");
         assert_eq!((told.points, told.rows, told.arc), (1000, 50, 2.0));
     }

@@ -3,7 +3,7 @@
 use super::contours::edge_px;
 use super::model::{Model, pool_within};
 use super::region::Region;
-use conicflow_geometry::{Contour, QuadricMoments, Sphere, departure};
+use conicflow_geometry::{Conical, Contour, QuadricMoments, Sphere, departure};
 use nalgebra::{SMatrix, SVector};
 
 /// Standard deviation of the departure (see [`conicflow_geometry::Sphere::departures`]) of what is round: things are not exactly
@@ -18,12 +18,8 @@ pub(super) fn roundness(region: &Region, contour: &Contour) -> f64 {
     let shared = region.shared_lines();
     let log_ratio = |points: QuadricMoments| match &region.model {
         Model::Sphere(fit) => log_ratio(departure::<_, 4, 5, 9>(&points, contour, fit, Sphere::departures)?, shared),
-        Model::Cylinder(fit) => {
-            log_ratio(departure::<_, 5, 2, 7>(&points, contour, fit, |cylinder| cylinder.0.departures())?, shared)
-        }
-        Model::Cone(fit) => {
-            log_ratio(departure::<_, 6, 2, 8>(&points, contour, fit, |cone| cone.0.departures())?, shared)
-        }
+        Model::Cylinder(fit) => log_ratio(departure::<_, 5, 2, 7>(&points, contour, fit, Conical::departures)?, shared),
+        Model::Cone(fit) => log_ratio(departure::<_, 6, 2, 8>(&points, contour, fit, Conical::departures)?, shared),
     };
     pool_within(region, edge_px(contour)).normalized().and_then(log_ratio).unwrap_or(0.0)
 }
@@ -74,8 +70,9 @@ mod tests {
         let model = model::fit(kind, &arcs.of(&members), None, f64::INFINITY).unwrap();
         let mut region = Region { arcs: &arcs, model, members: &members };
         let mut contours = Contours::default();
-        region.model = contours.fit(&region).unwrap();
-        roundness(&region, contours.last())
+        let (fitted, contour) = contours.fit(&region).unwrap();
+        region.model = fitted;
+        roundness(&region, contour)
     }
 
     #[test]

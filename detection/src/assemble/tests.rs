@@ -8,7 +8,7 @@ use super::region::Region;
 use super::seeds::{MAX_VAIN, Seeds};
 use super::{Assembler, AssemblerParameters, Rejection, Rejections};
 use crate::extract::{Extractor, ExtractorParameters};
-use conicflow_geometry::{Conical, FixedSlope, PlaneMoments, Scan, SpaceMoments, Surface, Vector3};
+use conicflow_geometry::{Conical, PlaneMoments, Scan, SpaceMoments, Vector3};
 use conicflow_lab::rendered::{KINECT_HALF, block, cylinder, frustum, plane, render, sphere};
 use conicflow_lab::simulator::random_scene::{SceneGroup, random_scene};
 use conicflow_lab::simulator::random_scenes::RandomScenes;
@@ -620,7 +620,7 @@ fn outside_is_each_end_up_to_the_first_ray_that_is_farther_within_the_outline() 
     arcs.read(&header, &ellipses);
     let arc = arcs.arcs.iter().find(|arc| arc.scan == Scan::Row && arc.line == 120).unwrap();
     let can = |x: f64, radius: f64| {
-        FixedSlope(Conical { point: Vector3::new(x, 0.0, 2.0), axis: Vector3::y(), radius, slope: 0.0 }).coefficients()
+        Conical { point: Vector3::new(x, 0.0, 2.0), axis: Vector3::y(), radius, slope: 0.0 }.coefficients()
     };
     let near = |x: f64, radius: f64, edge_px: f64| {
         let ends: Vec<_> = arc.outside(&can(x, radius), edge_px).collect();

@@ -17,9 +17,9 @@ const ALONG_LINES: f64 = 0.766; // [tuned]
 /// Largest cosine between the axis and the view: that of 25 degrees.
 const ALONG_VIEW: f64 = 0.906; // [tuned]
 /// The curvature of an object has to exceed that of a plane by so many standard deviations.
-const CURVED: f64 = 4.0; // [sigmas]
+const PLANE_SIGMAS: f64 = 4.0; // [sigmas]
 
-/// As how many independent points it counts that the points of an outline are expected to be off by one standard deviation.
+/// Weight of the expectation that the points of an outline are off by one standard deviation, in independent points.
 const EXPECTED_POINTS: f64 = 4.0; // [tuned]
 
 /// What was measured of a grown model, for its report.
@@ -103,14 +103,12 @@ fn verify<'a>(
     contours: &mut Contours,
 ) -> Result<Candidate<'a>, Rejection> {
     check(&region, parameters)?;
-    if let Some(model) = contours.fit(&region) {
-        region.model = model;
-    } else {
-        contours.clear();
-    }
+    let no_contour = Contour::default();
+    let (model, contour) = contours.fit(&region).unwrap_or((region.model, &no_contour));
+    region.model = model;
     let measured = check(&region, parameters)?;
-    let outline = Outline::of(&region, contours.last());
-    let roundness = roundness(&region, contours.last());
+    let outline = Outline::of(&region, contour);
+    let roundness = roundness(&region, contour);
     Ok(Candidate { region, measured, outline, roundness })
 }
 
@@ -140,7 +138,7 @@ fn check(region: &Region, parameters: &AssemblerParameters) -> Result<Measured, 
         Err(Rejection::Tilted)
     } else if measured.angle < parameters.pooled.min_arc_deg.to_radians() {
         Err(Rejection::ShortArc)
-    } else if measured.curvature < CURVED * CURVED {
+    } else if measured.curvature < PLANE_SIGMAS * PLANE_SIGMAS {
         Err(Rejection::Flat)
     } else {
         Ok(measured)
@@ -173,7 +171,7 @@ fn least_reach(region: &Region, parameters: &AssemblerParameters) -> f64 {
 
 fn is_sharp(region: &Region, parameters: &AssemblerParameters) -> bool {
     match &region.model {
-        Model::Cone(fit) => fit.surface.0.slope <= parameters.max_half_angle_deg.to_radians().tan(),
+        Model::Cone(fit) => fit.surface.slope <= parameters.max_half_angle_deg.to_radians().tan(),
         _ => true,
     }
 }
@@ -226,7 +224,7 @@ fn measure(region: &Region) -> Measured {
 /// Place of the apex of a cone along its axis, beyond which there is nothing of it; other shapes have none.
 fn apex(model: &Model) -> f64 {
     match model {
-        Model::Cone(fit) if fit.surface.0.slope > 0.0 => -fit.surface.0.radius / fit.surface.0.slope,
+        Model::Cone(fit) if fit.surface.slope > 0.0 => -fit.surface.radius / fit.surface.slope,
         _ => f64::NEG_INFINITY,
     }
 }
@@ -303,7 +301,7 @@ mod tests {
         let mut checked = || {
             let region = Region { arcs: &arcs, model: Model::Cone(fit), members: &members };
             let checked = check(&region, &AssemblerParameters::default()).err();
-            fit.surface.0.point.z -= 0.5;
+            fit.surface.point.z -= 0.5;
             checked
         };
         assert_eq!([checked(), checked()], [None, Some(Rejection::Short)]);
@@ -402,12 +400,12 @@ mod tests {
         let rows = rows_of(&arcs, |_| true);
         let Model::Cone(mut fit) = fitted(&arcs, &rows, ObjectKind::Cone).model else { panic!("no cone") };
         let extent = |fit| measure(&Region { arcs: &arcs, model: Model::Cone(fit), members: &rows }).extent;
-        let ([from, _], cone) = (extent(fit), fit.surface.0);
+        let ([from, _], cone) = (extent(fit), fit.surface);
         // Such a one that its radius is zero within what is seen.
-        fit.surface.0.slope = cone.radius / (0.5 * -from);
-        let apex = fit.surface.0.axis.dot(&(fit.surface.0.apex() - cone.point));
+        fit.surface.slope = cone.radius / (0.5 * -from);
+        let apex = fit.surface.axis.dot(&(fit.surface.apex() - cone.point));
         assert!((extent(fit)[0] - apex).abs() < 1e-12 && apex > from, "{} {apex}", extent(fit)[0]);
-        fit.surface.0.slope = 0.0;
+        fit.surface.slope = 0.0;
         assert!(extent(fit)[0] < apex, "a cone that does not taper has none");
     }
 
@@ -419,7 +417,7 @@ mod tests {
         let measured = Measured { extent: [-0.1, 0.1], ..measure(&region) };
         let Model::Cylinder(mut fit) = region.model else { panic!("{region:?}") };
         let mut along = |x: f64, y: f64, z: f64| {
-            (fit.surface.0.point, fit.surface.0.axis) = (Vector3::z() * 2.0, Vector3::new(x, y, z));
+            (fit.surface.point, fit.surface.axis) = (Vector3::z() * 2.0, Vector3::new(x, y, z));
             runs_along(&Region { model: Model::Cylinder(fit), ..region }, &measured)
         };
         for side in [-1.0, 1.0] {
@@ -494,9 +492,10 @@ mod tests {
         for (lines, shared_lines) in [(20, 1.0), (60, 1.0), (60, 5.0)] {
             arcs.arcs.iter_mut().for_each(|arc| arc.shared_lines = shared_lines);
             let (mut region, mut contours) = (fitted(&arcs, &rows[..lines], ObjectKind::Sphere), Contours::default());
-            region.model = contours.fit(&region).unwrap();
-            let (sum, used) = (region.model.contour_sum(), contours.last().used() as f64);
-            let told = Outline::of(&region, contours.last()).square;
+            let (model, contour) = contours.fit(&region).unwrap();
+            region.model = model;
+            let (sum, used) = (model.contour_sum(), contour.used() as f64);
+            let told = Outline::of(&region, contour).square;
             let expected = (sum + 4.0 * shared_lines) / (used + 4.0 * shared_lines);
             assert!(used > lines as f64 && (told - expected).abs() < 1e-12 && told != 1.0, "{told} {expected}");
         }

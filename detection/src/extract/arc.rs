@@ -3,7 +3,7 @@
 
 use super::rays::Rays;
 use super::rejection::ArcRejection;
-use super::run::{FEWEST, Run};
+use super::run::{MIN_ARC_POINTS, Run};
 use super::segments::Segment;
 use conicflow_geometry::{ArcFit, ArcMoments, Circle, LineSums, PlaneMoments, Scan};
 use conicflow_messages::{END_POINTS, Ellipse};
@@ -11,25 +11,25 @@ use std::ops::Range;
 
 /// For an arc that is a part of a run and no contour sets off: its line error has to exceed its circle error by so many standard
 /// deviations.
-const CURVED: f64 = 3.0; // [sigmas]
-/// For any other arc of at least [`WEAK`] points: its line error has to exceed its circle error by so many standard deviations.
-/// Most such runs are flat.
-const CURVED_WHOLE: f64 = 0.5; // [sigmas]
+const PART_BEND_SIGMAS: f64 = 3.0; // [sigmas]
+/// For any other arc of at least [`WEAK_POINTS`] points: its line error has to exceed its circle error by so many standard
+/// deviations. Most such runs are flat.
+const WHOLE_BEND_SIGMAS: f64 = 0.5; // [sigmas]
 /// Such an arc of fewer points has only to be curved at all, because many weak arcs together are strong evidence.
-const WEAK: usize = 16; // [tuned]
+const WEAK_POINTS: usize = 16; // [tuned]
 /// Fewest points of an arc that is kept although noise bends it the wrong way, because jumps set it off.
-const SET_OFF: usize = 6; // [tuned]
+const MIN_SET_OFF_POINTS: usize = 6; // [tuned]
 /// Besides `trim_px`, one point in so many is taken off each end: the larger an edge is seen, the wider it is smeared.
-const SMEARED: usize = 32; // [tuned]
+const POINTS_PER_SMEARED: usize = 32; // [tuned]
 /// Radius of a circle that looks like a line, in metres.
 const STRAIGHT_M: f64 = 500.0; // [algorithmic]
 
-/// The arc of a run that a line explains, or why it is none; `None` where a line does not.
+/// The arc of a run that a line explains, or why that is no arc; `None` where no line explains it.
 ///
 /// Most of an image are walls and floors: of these no more is summed than has to be.
 pub(super) fn accept_line(rays: &Rays, image: &[u16]) -> Option<Result<Ellipse, ArcRejection>> {
     let inner = rays.inner.clone();
-    let smeared = inner.len() / SMEARED;
+    let smeared = inner.len() / POINTS_PER_SMEARED;
     let points = inner.start + smeared..inner.end - smeared;
     let whole = rays.line_sums(inner.clone());
     let square = |sums: &LineSums, points: usize| sums.line_square(points as f64, rays.stretch);
@@ -40,11 +40,11 @@ pub(super) fn accept_line(rays: &Rays, image: &[u16]) -> Option<Result<Ellipse, 
     let is_straight = || {
         let ends = [inner.start..points.start, points.end..inner.end].map(|end| rays.line_sums(end));
         let middle = whole.without(&ends[0]).without(&ends[1]);
-        square(&middle, points.len()) < CURVED * scatter(rays, &points)
+        square(&middle, points.len()) < PART_BEND_SIGMAS * scatter(rays, &points)
     };
     let Range { start: from, end: to } = inner;
     let segment = Segment { part: [from, to], from, to, is_curve: true };
-    Some(if points.len() < FEWEST {
+    Some(if points.len() < MIN_ARC_POINTS {
         Err(ArcRejection::FewPoints)
     } else if rays.width() >= 2.0 * rays.view.parameters.max_radius_m || is_cut_off && is_straight() {
         Err(ArcRejection::Line)
@@ -58,16 +58,16 @@ fn scatter(rays: &Rays, points: &Range<usize>) -> f64 {
     rays.variance(points.start, points.end) * (2.0 / points.len() as f64).sqrt()
 }
 
-/// The arc of a segment, or why it is none.
+/// The arc of a segment, or why that is no arc.
 pub(super) fn accept(run: &Run, image: &[u16], segment: &Segment) -> Result<Ellipse, ArcRejection> {
     let points = trimmed(run, segment);
-    if points.len() < FEWEST {
+    if points.len() < MIN_ARC_POINTS {
         return Err(ArcRejection::FewPoints);
     }
     arc(run, image, segment, points.clone(), &run.moments(points.start, points.end))
 }
 
-/// The arc of some points of a segment, of which the moments are known, or why it is none.
+/// The arc of some points of a segment, of which the moments are known, or why that is no arc.
 fn arc(
     rays: &Rays,
     image: &[u16],
@@ -103,9 +103,9 @@ fn circle(
 ) -> Result<ArcFit, ArcRejection> {
     let parameters = &rays.view.parameters;
     let sigmas = if !is_set_off {
-        CURVED
-    } else if points.len() >= WEAK {
-        CURVED_WHOLE
+        PART_BEND_SIGMAS
+    } else if points.len() >= WEAK_POINTS {
+        WHOLE_BEND_SIGMAS
     } else {
         0.0
     };
@@ -124,7 +124,7 @@ fn circle(
 /// Whether a segment may be part of an object even where the noise bends it the wrong way: it is set off by jumps.
 fn may_be_part(rays: &Rays, segment: &Segment, points: &Range<usize>, contour: [f64; 2]) -> bool {
     is_whole(rays, segment)
-        && points.len() >= SET_OFF
+        && points.len() >= MIN_SET_OFF_POINTS
         && contour != [0.0; 2]
         && rays.width() < 2.0 * rays.view.parameters.max_radius_m
 }
@@ -174,7 +174,7 @@ fn is_whole(rays: &Rays, segment: &Segment) -> bool {
 fn trimmed(run: &Run, segment: &Segment) -> Range<usize> {
     let &Segment { from, to, .. } = segment;
     let [before, behind] = reaches_ends(run, segment)
-        .map(|is_end| (to - from) / SMEARED + if is_end { 0 } else { run.view.parameters.trim_px as usize });
+        .map(|is_end| (to - from) / POINTS_PER_SMEARED + if is_end { 0 } else { run.view.parameters.trim_px as usize });
     from + before..to.saturating_sub(behind).max(from + before)
 }
 

@@ -13,22 +13,22 @@ use super::view::{LeastStep, SURROUNDINGS};
 use conicflow_messages::is_measured;
 
 /// Most lines that are averaged: the contour of a small thing changes from line to line.
-pub(super) const MOST: u32 = 5; // [tuned]
-/// Means of as many lines as are averaged at most are looked at at every second line, if so many are left: their neighbours
-/// tell hardly more, but the smallest things have to be seen in enough of them. With every line, 389 and not 390 things are found
-/// in the first 15 scenes of each group, seen by a Kinect and by a D435 at 1280x960 (`experiments/detection.toml`); with 240 each
-/// finds 11 less of 1426 at 640x480.
+pub(super) const MAX_LINES: u32 = 5; // [tuned]
+/// Where [`MAX_LINES`] are averaged, only every second line is looked at, if so many lines are left: those between them tell
+/// hardly more, but the smallest things have to be seen in enough lines. With every line, 389 and not 390 things are found in the
+/// first 15 scenes of each group, seen by a Kinect and by a D435 at 1280x960 (`experiments/detection.toml`); with 240 each finds
+/// 11 less of 1426 at 640x480.
 const ENOUGH: u32 = 480; // [tuned]
-/// Lines of which more share their noise are not averaged: their mean keeps most of it. Simulated structured light
-/// loses by averages (F1 0.831 to 0.809, `experiments/simulated_sensors.toml`, seeds 0 to 9).
+/// Where more neighbouring lines than this share their noise, none are averaged: their mean keeps most of it. Simulated
+/// structured light loses by averages (F1 0.831 to 0.809, `experiments/simulated_sensors.toml`, seeds 0 to 9).
 const INDEPENDENT: f64 = 2.0; // [tuned]
 /// Number of pixels that are averaged together.
-const BATCH: usize = 32; // [algorithmic]
-/// Farther off than so many units no pixel counts: four of them are still a number of 16 bits.
+const MEAN_BATCH: usize = 32; // [algorithmic]
+/// A pixel that differs by more units than this does not count: the sum of four differences fits into 16 bits.
 const MOST_OFF: u16 = 8191; // [algorithmic]
 /// The largest depth that is a measurement; the least is 1.
 const MOST_MEASURED: u16 = u16::MAX - 1; // [derived]
-/// Shares are told in parts of this.
+/// Shares are counted in parts of which so many make a whole.
 const WHOLE: u32 = 1 << 16; // [algorithmic]
 
 /// How many lines are averaged where the noise of one is `excess` times the step of a steep surface from pixel to pixel, and
@@ -37,7 +37,7 @@ pub(super) fn lines(excess: f64, shared_lines: f64) -> u32 {
     if shared_lines > INDEPENDENT {
         return 1;
     }
-    (1..MOST).step_by(2).find(|&lines| excess * excess * variance(lines, shared_lines) <= 1.0).unwrap_or(MOST)
+    (1..MAX_LINES).step_by(2).find(|&lines| excess * excess * variance(lines, shared_lines) <= 1.0).unwrap_or(MAX_LINES)
 }
 
 /// Variance of the mean of some lines, in variances of one, where this number of neighbouring lines share their noise.
@@ -49,7 +49,7 @@ pub(super) fn variance(lines: u32, shared_lines: f64) -> f64 {
     (f64::from(lines) + (1..lines).map(apart).sum::<f64>()) / f64::from(lines * lines)
 }
 
-/// Every how many lines one is enough, of an image that has so many rows and columns of which so many are averaged.
+/// Every how many lines one is looked at in an image of so many rows and columns, of which so many are averaged.
 pub(super) fn step(averaged: [u32; 2], lines: [u32; 2]) -> u32 {
     let steps = averaged.into_iter().zip(lines).map(|(averaged, lines)| (averaged / 2).min(lines / ENOUGH));
     steps.min().unwrap_or(1).max(1)
@@ -58,15 +58,15 @@ pub(super) fn step(averaged: [u32; 2], lines: [u32; 2]) -> u32 {
 /// How lines are averaged.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Averaging {
-    /// For each line on either side, from the nearest on: the standard deviation that the mean of the nearer ones has, in parts
-    /// of [`WHOLE`] of that of one line; nothing for those that never count.
-    left: [u16; (MOST / 2) as usize],
+    /// For each line on either side, from the nearest on: standard deviation of the mean of all lines that are nearer, in that of
+    /// one line, times [`WHOLE`]. 0 for lines that never count.
+    mean_sigmas: [u16; (MAX_LINES / 2) as usize],
     /// Number of lines on either side that count at most.
     reach: u32,
-    /// Variance of a pixel of which so many on either side count, in that of one of which all do.
+    /// Variance of a pixel over which 0, 1, ... lines on either side were averaged, in that of one over which all were.
     variances: Vec<f64>,
-    /// The mean of [`SURROUNDINGS`] of these that are alike: what their sum is rounded to, over their number.
-    alike: Vec<f64>,
+    /// The mean of [`SURROUNDINGS`] equal ones of these, to the bit: their sum is rounded.
+    mean_of_equal: Vec<f64>,
 }
 
 impl Averaging {
@@ -75,15 +75,15 @@ impl Averaging {
         let reach = lines / 2;
         let of = |pairs: u32| variance(2 * pairs + 1, shared_lines);
         self.reach = reach;
-        self.left = [0; _];
-        for (nearer, left) in (0..reach).zip(&mut self.left) {
-            *left = (of(nearer).sqrt() * f64::from(WHOLE)) as u16;
+        self.mean_sigmas = [0; _];
+        for (nearer, sigma) in (0..reach).zip(&mut self.mean_sigmas) {
+            *sigma = (of(nearer).sqrt() * f64::from(WHOLE)) as u16;
         }
         self.variances.clear();
         self.variances.extend((0..=reach).map(|pairs| of(pairs) / of(reach)));
         let mean = |variance: &f64| [*variance; SURROUNDINGS].iter().sum::<f64>() / SURROUNDINGS as f64;
-        self.alike.clear();
-        self.alike.extend(self.variances.iter().map(mean));
+        self.mean_of_equal.clear();
+        self.mean_of_equal.extend(self.variances.iter().map(mean));
     }
 
     /// Number of lines on either side that count at most.
@@ -91,11 +91,12 @@ impl Averaging {
         self.reach
     }
 
-    /// Mean variance of some pixels of which so many on either side count, in that of those of which all do; 1 of none.
+    /// Mean variance of pixels over which so many lines on either side were averaged, in that of pixels over which all were; 1 of
+    /// none.
     pub fn variance(&self, pairs: &[u16]) -> f64 {
         let Some(&first) = pairs.first() else { return 1.0 };
         if *pairs == [first; SURROUNDINGS] {
-            return self.alike[usize::from(first)];
+            return self.mean_of_equal[usize::from(first)];
         }
         pairs.iter().map(|&pairs| self.variances[usize::from(pairs)]).sum::<f64>() / pairs.len() as f64
     }
@@ -112,8 +113,8 @@ impl Averaging {
         pairs: &mut [u16],
     ) {
         // The last batch ends where the line does, and begins among the pixels of the one before it.
-        let (length, last) = (means.len().min(BATCH), means.len().saturating_sub(BATCH));
-        for first in (0..means.len()).step_by(BATCH).map(|first| first.min(last)) {
+        let (length, last) = (means.len().min(MEAN_BATCH), means.len().saturating_sub(MEAN_BATCH));
+        for first in (0..means.len()).step_by(MEAN_BATCH).map(|first| first.min(last)) {
             let here = first..first + length;
             let (of_means, of_pairs) =
                 self.average_batch(jump, reach, |by| batch_of(&line(i64::from(by))[here.clone()]));
@@ -128,11 +129,11 @@ impl Averaging {
         &self,
         jump: &LeastStep,
         reach: u32,
-        line: impl Fn(i32) -> [u16; BATCH],
-    ) -> ([u16; BATCH], [u16; BATCH]) {
+        line: impl Fn(i32) -> [u16; MEAN_BATCH],
+    ) -> ([u16; MEAN_BATCH], [u16; MEAN_BATCH]) {
         let middle = line(0);
         // How far off what counts may be, and how many on either side do; of what is not measured, none.
-        let (mut limits, mut reaches) = ([0; BATCH], [0_u16; BATCH]);
+        let (mut limits, mut reaches) = ([0; MEAN_BATCH], [0_u16; MEAN_BATCH]);
         for (at, &depth) in middle.iter().enumerate() {
             let [noise, slope] = jump.noise_and_slope(depth);
             // Within that limit all is measured.
@@ -142,23 +143,23 @@ impl Averaging {
                 .min(depth.wrapping_sub(1))
                 .min(MOST_MEASURED.wrapping_sub(depth));
             let noise = if is_measured(depth) { noise } else { 0 };
-            for left in self.left {
-                let of_mean = ((u32::from(noise) * u32::from(left)) >> 16) as u16;
+            for sigma in self.mean_sigmas {
+                let of_mean = ((u32::from(noise) * u32::from(sigma)) >> 16) as u16;
                 reaches[at] += u16::from(of_mean > slope);
             }
         }
         if reaches.iter().fold(true, |none, &reach| none & (reach == 0)) {
-            return (middle, [0; BATCH]);
+            return (middle, [0; MEAN_BATCH]);
         }
         // All ones where no jump was met yet; how far what counts is off, in all; and the share of one of it.
-        let (mut goes_on, mut off, mut share) = ([u16::MAX; BATCH], [0_u16; BATCH], [0_u16; BATCH]);
-        let (mut pairs, mut share_before) = ([0_u16; BATCH], 0);
+        let (mut goes_on, mut off, mut share) = ([u16::MAX; MEAN_BATCH], [0_u16; MEAN_BATCH], [0_u16; MEAN_BATCH]);
+        let (mut pairs, mut share_before) = ([0_u16; MEAN_BATCH], 0);
         for by in 1..=reach as u16 {
             let (before, behind) = (line(-i32::from(by)), line(i32::from(by)));
             let of_so_many = (WHOLE / (2 * u32::from(by) + 1)) as u16;
             let change = of_so_many.wrapping_sub(share_before);
             share_before = of_so_many;
-            for at in 0..BATCH {
+            for at in 0..MEAN_BATCH {
                 let (before, behind, middle) = (before[at], behind[at], middle[at]);
                 let too_far = |depth: u16| depth.abs_diff(middle).saturating_sub(limits[at]);
                 let ends = too_far(before) | too_far(behind) | by.saturating_sub(reaches[at]);
@@ -181,9 +182,9 @@ impl Averaging {
 
 /// Some pixels, and as many more that are not measured as make a batch.
 #[inline]
-fn batch_of(pixels: &[u16]) -> [u16; BATCH] {
+fn batch_of(pixels: &[u16]) -> [u16; MEAN_BATCH] {
     pixels.first_chunk().copied().unwrap_or_else(|| {
-        let mut batch = [0; BATCH];
+        let mut batch = [0; MEAN_BATCH];
         batch[..pixels.len()].copy_from_slice(pixels);
         batch
     })
@@ -197,8 +198,12 @@ mod tests {
     #[test]
     fn as_many_lines_are_averaged_as_bring_the_noise_down_to_the_step() {
         let of = |excess: f64| lines(excess, 1.0);
-        assert_eq!([0.0, 1.0, 1.01, 1.7, 1.75, 9.0].map(of), [1, 1, 3, 3, 5, MOST]);
-        assert_eq!([1.0, 1.5, INDEPENDENT].map(|shared| lines(1.6, shared)), [3, 5, MOST], "what is shared is kept");
+        assert_eq!([0.0, 1.0, 1.01, 1.7, 1.75, 9.0].map(of), [1, 1, 3, 3, 5, MAX_LINES]);
+        assert_eq!(
+            [1.0, 1.5, INDEPENDENT].map(|shared| lines(1.6, shared)),
+            [3, 5, MAX_LINES],
+            "what is shared is kept"
+        );
         assert_eq!(lines(9.0, 1.01 * INDEPENDENT), 1);
     }
 

@@ -10,14 +10,14 @@ use std::ops::Range;
 
 /// One line in so many is searched as a whole. It is less than `min_lines` of the assembler, so that no object lies between.
 const COARSE_STEP: u32 = 6; // [algorithmic]
-/// Bulge of a curved arc: noise gives as much to one straight arc in 13.
-const CURVED: f64 = 2.0; // [sigmas]
+/// Least bulge of a curved arc, which opens the gaps beside it: noise gives as much to one straight arc in 13.
+const OPENS_GAP_CHI2: f64 = 2.0; // [sigmas]
 /// Pixels beyond both ends of an arc that are searched in the lines beside it.
-const MARGIN_PX: u32 = 16; // [tuned]
-/// One further pixel is searched for each so many pixels of the arc.
-const MARGIN_SHARE: u32 = 4; // [tuned]
+const SEARCH_MARGIN_PX: u32 = 16; // [tuned]
+/// The margin is wider by the length of the arc over this.
+const SEARCH_MARGIN_DIVISOR: u32 = 4; // [tuned]
 
-/// Every how many lines one is looked at as a whole, where every `step`th is looked at at all.
+/// The distance between lines that are looked at as a whole, where the others are looked at at every `step`th line.
 pub(crate) fn coarse_step(step: u32) -> u32 {
     step * (COARSE_STEP / step).max(1)
 }
@@ -48,7 +48,7 @@ impl CoarseLines {
         let is_curved = |arc: &Ellipse| {
             // Where points share their noise, they tell no more than the fewer ones that share none.
             let variance = arc.sigma * arc.sigma * square_stretch * arc.shared();
-            bulge(&PlaneMoments::from_sums(arc.origin, arc.moments), variance) >= CURVED
+            bulge(&PlaneMoments::from_sums(arc.origin, arc.moments), variance) >= OPENS_GAP_CHI2
         };
         self.curved.extend(self.arcs[self.curved.len()..].iter().map(is_curved));
         self.ends.push(self.arcs.len());
@@ -88,7 +88,7 @@ impl CoarseLines {
 
 /// The pixels about an arc that are worth a look in the lines beside it.
 fn window_about(arc: &Ellipse, length: u32) -> Range<u32> {
-    let margin = MARGIN_PX + (arc.last - arc.first) / MARGIN_SHARE;
+    let margin = SEARCH_MARGIN_PX + (arc.last - arc.first) / SEARCH_MARGIN_DIVISOR;
     arc.first.saturating_sub(margin)..(arc.last + 1 + margin).min(length)
 }
 

@@ -1,6 +1,6 @@
 //! One scan line, or a window of it: its measurements, split into runs at jumps and holes.
 
-use super::view::{BATCH, DepthBuffer, View};
+use super::view::{DepthBuffer, JUMP_BATCH, View};
 use conicflow_geometry::{Pinhole, Scan, ScanPlane};
 use conicflow_messages::is_measured;
 use std::ops::Range;
@@ -63,7 +63,7 @@ impl RayLine {
         self.window = window;
     }
 
-    /// Moves the measured ones of the pixels from `first` on together; their number.
+    /// Copies those of the pixels from `first` on that are measured one behind another; returns their number.
     fn gather(&mut self, view: &View, first: u32, pixels: &[u16]) -> usize {
         let mut count = 0;
         for (batch, first) in pixels.chunks(GATHERED).zip((first..).step_by(GATHERED)) {
@@ -85,7 +85,7 @@ impl RayLine {
         count
     }
 
-    /// The same of how many of their neighbours count, of which there is nothing where lines are not averaged.
+    /// The same of how many neighbours on either side count in each pixel; `pairs` is empty where lines are not averaged.
     fn gather_pairs(&mut self, depths: &[u16], pairs: &[u16]) {
         self.pairs.clear();
         for (depths, pairs) in depths.chunks(GATHERED).zip(pairs.chunks(GATHERED)) {
@@ -102,7 +102,7 @@ impl RayLine {
         self.runs.clear();
         let (pixels, depths) = (&self.pixels[..self.count], &self.depths[..self.count]);
         let mut start = 0;
-        for first in (0..self.count).step_by(BATCH) {
+        for first in (0..self.count).step_by(JUMP_BATCH) {
             for at in places(&view.jumps(None).doubtful(&pixels[first..], &depths[first..])) {
                 let last = first + at;
                 let pairs = self.pairs.get(last..last + 2).map(|pairs| pairs[0].min(pairs[1]));
@@ -153,7 +153,7 @@ impl RayLine {
 }
 
 /// The places of the ones among zeros and ones.
-fn places(flags: &[u8; BATCH]) -> impl Iterator<Item = usize> {
+fn places(flags: &[u8; JUMP_BATCH]) -> impl Iterator<Item = usize> {
     let (words, _) = flags.as_chunks();
     words.iter().zip((0..).step_by(8)).flat_map(|(word, first)| {
         let mut word = u64::from_le_bytes(*word);

@@ -39,12 +39,12 @@ use noise_estimate::NoiseEstimate;
 use noise_level::NoiseSamples;
 use noise_planes::PlaneSquares;
 use search::LineSearch;
+pub(crate) use view::LEAST_VARIANCE;
 use view::View;
 
 /// Finds the ellipses of depth images; its buffers are used again for the next.
 #[derive(Debug)]
 pub struct Extractor {
-    pub(crate) parameters: ExtractorParameters,
     pub(crate) noise: NoiseEstimate,
     pub(crate) view: View,
     pub(crate) search: LineSearch,
@@ -61,8 +61,7 @@ impl Extractor {
     /// An extractor with these parameters.
     pub fn new(parameters: ExtractorParameters) -> Self {
         Self {
-            view: View::with(parameters.clone()),
-            parameters,
+            view: View::with(parameters),
             noise: NoiseEstimate::nominal(NoiseModel::IDEAL),
             search: LineSearch::default(),
             coarse: CoarseLines::default(),

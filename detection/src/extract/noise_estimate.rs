@@ -9,7 +9,8 @@ pub(crate) struct NoiseEstimate {
     /// Its variance, times `level`, is that of a depth.
     pub model: NoiseModel,
     pub level: f64,
-    /// That of neighbours: a driver that smooths does so within surfaces.
+    /// By how much neighbours of different surfaces scatter: no less than the source told, as a driver that smooths does so
+    /// within surfaces.
     pub neighbour_model: NoiseModel,
     /// Variances of what is near and what is far, in those that the source told.
     pub variance_ratios: [f64; 2],

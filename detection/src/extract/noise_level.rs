@@ -19,25 +19,25 @@ use conicflow_geometry::Scan;
 use conicflow_messages::{Header, NoiseModel, is_measured};
 
 /// Approximate number of lines that are sampled.
-const LINES: u32 = 12; // [algorithmic]
+const SAMPLED_LINES: u32 = 12; // [algorithmic]
 /// Fewest points of a line or circle whose residual counts as a sample of the noise.
-const TELLING: usize = 12; // [algorithmic]
+const MIN_CURVE_POINTS: usize = 12; // [algorithmic]
 /// Least distance at one metre between the three pixels of a triple, in metres: a Kinect's lie three pixels apart. Pixels farther
-/// apart lie on different surfaces too often, however many pixels the image has; nearer ones often have the same depth of a sensor
-/// with steps.
-const APART: f64 = 0.0048; // [tuned]
+/// apart lie on different surfaces too often, however many pixels the image has; nearer ones often have the same depth of a
+/// sensor with steps.
+const TRIPLE_SPACING: f64 = 0.0048; // [tuned]
 /// Fewest triples that give an estimate.
-const FEWEST: usize = 64; // [algorithmic]
+const MIN_TRIPLES: usize = 64; // [algorithmic]
 /// A triple whose second difference exceeds so many standard deviations does not lie on one smooth surface.
-const WITHIN: f64 = 2.5; // [sigmas]
-/// Mean square of a standard normal deviate that is truncated at [`WITHIN`].
-const SQUARE_WITHIN: f64 = 0.911_26; // [derived]
+const SMOOTH_SIGMAS: f64 = 2.5; // [sigmas]
+/// Mean square of a standard normal deviate that is truncated at [`SMOOTH_SIGMAS`].
+const TRUNCATED_SQUARE: f64 = 0.911_26; // [derived]
 /// An iteration ends when the noise level changes by less than this factor.
 const SETTLED: f64 = 1.01; // [algorithmic]
 /// If neighbours scatter by more than this part of the model's variance, they share no noise.
 const UNSMOOTHED: f64 = 0.85; // [tuned]
-/// At least this part of all triples lies on smooth surfaces in any image. If fewer are within [`WITHIN`], the noise model is
-/// far too small.
+/// At least this part of all triples lies on smooth surfaces in any image. If fewer are within [`SMOOTH_SIGMAS`], the noise model
+/// is far too small.
 const SMOOTH: f64 = 0.25; // [tuned]
 /// The quantile [`SMOOTH`] of chi squared with one degree of freedom.
 const SQUARE_OF_SMOOTH: f64 = 0.101_53; // [derived]
@@ -46,9 +46,10 @@ const SQUARE_OF_SMOOTH: f64 = 0.101_53; // [derived]
 const DISTANT: f64 = 1.15; // [algorithmic]
 /// The logarithm of the ratio of the noise levels has to exceed zero by so many of its standard deviations.
 const SURE: f64 = 3.5; // [sigmas]
-/// One sample in so many is nearer than what is near, and farther than what is far.
+/// One sample in so many is nearer than the depths that are told as a range, and one in so many farther.
 const OUTER: usize = 20; // [algorithmic]
-/// Most times that a noise model is put through both halves, and that curves are looked at: each comes closer to the noise.
+/// Most rounds in which a noise model is fitted to both halves, or curves are looked at again: each round comes closer to the
+/// noise.
 const ROUNDS: usize = 4; // [algorithmic]
 
 /// What some pixels tell: their depth in metres, and a square in variances of the model.
@@ -66,8 +67,8 @@ pub(super) struct NoiseSamples {
 }
 
 impl NoiseSamples {
-    /// Depths of what is near and of what is far in the image that was looked at last: one in [`OUTER`] of what is smooth in it
-    /// is nearer, or farther. `None` where too little is.
+    /// The range of depths in the image that was looked at last: one in [`OUTER`] of its smooth places is nearer, and one in as
+    /// many farther. `None` where there are too few.
     pub fn range(&mut self) -> Option<[f64; 2]> {
         let count = self.of_neighbors.len();
         let outer = count / OUTER;
@@ -97,7 +98,7 @@ pub(super) fn estimate(
     let NoiseSamples { of_neighbors, of_curves } = samples;
     view.turn(header, Scan::Row, &NoiseEstimate::nominal(header.noise));
     look_at_neighbors(view, image, of_neighbors);
-    if of_neighbors.len() < FEWEST {
+    if of_neighbors.len() < MIN_TRIPLES {
         return NoiseEstimate::nominal(view.noise);
     }
     let halves = halves(of_neighbors);
@@ -157,14 +158,14 @@ fn of_another_growth(
 fn differ([near, far]: &[Half; 2]) -> bool {
     let sigma = (2.0 / near.count + 2.0 / far.count).sqrt();
     let ratio = (near.scatter / far.scatter).ln().abs();
-    let are_told = near.count.min(far.count) >= FEWEST as f64;
+    let are_told = near.count.min(far.count) >= MIN_TRIPLES as f64;
     // What is quieter than its model may be smoothed, and shows less noise than it has.
     let are_smoothed = near.scatter.min(far.scatter) <= UNSMOOTHED;
     are_told && !are_smoothed && far.depth > DISTANT * near.depth && ratio > SURE * sigma
 }
 
-/// A model of which the standard deviations at two depths are so many times those that belong to a variance, and which grows
-/// with the square of the depth between them and beyond.
+/// The model that at two depths has the standard deviations that belong to `variance`, times these factors, and that grows with
+/// the square of the depth.
 fn through(depths: [f64; 2], factors: [f64; 2], variance: impl Fn(f64) -> f64) -> NoiseModel {
     let [near, far] = [0, 1].map(|i| factors[i] * variance(depths[i]).sqrt());
     let [near_square, far_square] = depths.map(|depth| depth * depth);
@@ -181,7 +182,7 @@ fn through(depths: [f64; 2], factors: [f64; 2], variance: impl Fn(f64) -> f64) -
 /// independent: halves that were told apart by the depth of the middle one would be told apart by its noise.
 fn look_at_neighbors(view: &View, image: &[u16], samples: &mut Vec<NoiseSample>) {
     samples.clear();
-    let apart = ((APART / view.pitch()).ceil() as usize).min(view.length as usize).max(1);
+    let apart = ((TRIPLE_SPACING / view.pitch()).ceil() as usize).min(view.length as usize).max(1);
     for line in lines(view) {
         let depths = view.line(image, line).windows(2 * apart + 1).step_by(apart);
         let threes = depths.map(|depths| [depths[0], depths[apart], depths[2 * apart]]);
@@ -204,7 +205,7 @@ fn halves(samples: &mut [NoiseSample]) -> [Half; 2] {
     })
 }
 
-/// Puts some of the samples before the others; how many those are.
+/// Puts some of the samples before the others; returns how many they are.
 fn put_first(samples: &mut [NoiseSample], is_of_them: impl Fn(&NoiseSample) -> bool) -> usize {
     let mut count = 0;
     for index in 0..samples.len() {
@@ -223,7 +224,7 @@ fn put_first(samples: &mut [NoiseSample], is_of_them: impl Fn(&NoiseSample) -> b
 /// change.
 fn scatter(samples: &mut [NoiseSample]) -> f64 {
     let within = |samples: &[NoiseSample], level: f64| {
-        let limit = WITHIN * WITHIN * level;
+        let limit = SMOOTH_SIGMAS * SMOOTH_SIGMAS * level;
         samples
             .iter()
             .map(|sample| sample.square)
@@ -240,7 +241,7 @@ fn scatter(samples: &mut [NoiseSample]) -> f64 {
     }
     loop {
         let (sum, count) = within(samples, level);
-        let last = std::mem::replace(&mut level, sum / (f64::max(count, 1.0) * SQUARE_WITHIN));
+        let last = std::mem::replace(&mut level, sum / (f64::max(count, 1.0) * TRUNCATED_SQUARE));
         if level < last * SETTLED {
             return level;
         }
@@ -254,7 +255,7 @@ fn look_at_curves(view: &View, image: &[u16], search: &mut LineSearch, samples: 
     for number in lines(view) {
         line.read(view, image, number, 0..view.length);
         for index in 0..line.runs() {
-            if line.run_length(index) >= TELLING {
+            if line.run_length(index) >= MIN_CURVE_POINTS {
                 let rays = Rays::new(view, line, index, &mut curves.rays);
                 add_curves(&Run::new(rays, &mut curves.sums), samples);
             }
@@ -273,14 +274,14 @@ fn share(samples: &mut [NoiseSample], is_of_them: impl Fn(&NoiseSample) -> bool)
 }
 
 fn lines(view: &View) -> impl Iterator<Item = u32> {
-    (0..view.lines).step_by((view.lines / LINES).max(1) as usize)
+    (0..view.lines).step_by((view.lines / SAMPLED_LINES).max(1) as usize)
 }
 
 /// Adds the variances that the lines and circles of a run show.
 fn add_curves(run: &Run, samples: &mut Vec<NoiseSample>) {
     let mut from = run.inner.start;
     while let Some(Segment { to, .. }) = next_segment(run, &run.inner, from) {
-        if to - from >= TELLING {
+        if to - from >= MIN_CURVE_POINTS {
             let moments = run.moments(from, to);
             let fit = moments.fit();
             let excess = fit.line_square.min(fit.circle_square) / run.variance(from, to);

@@ -11,38 +11,39 @@ use nalgebra::{Matrix3, Vector3};
 
 /// A square has so many pixels along its side, in an image of [`USUAL_WIDTH`]: three of the longest blobs.
 const SIDE: u32 = 64; // [algorithmic]
-/// Width of an image, in pixels, in which blobs are as long as said.
+/// Width of the image, in pixels, for which [`SIDE`] is given: blobs are as much longer as an image is wider.
 const USUAL_WIDTH: u32 = 640; // [algorithmic]
 /// Fewest and most pixels along the side of a square.
 const SIDES: [u32; 2] = [24, 128]; // [algorithmic] [algorithmic]
 /// The plane of a square is fitted to so many pixels along each of its sides, or a few more.
 const SAMPLES: u32 = 16; // [algorithmic]
-/// A square is looked at if this part of its samples is measured, and a line of it if this part of its pixels is. Where that shows
-/// nothing, as in an image that is full of holes, the second part is enough.
+/// A square is looked at if this part of its samples is measured, and a line of it if this part of its pixels is. If there are
+/// not enough of these, as in an image that is full of holes, the second part will do.
 const MEASURED: [f64; 2] = [0.9, 0.5]; // [algorithmic] [algorithmic]
 /// The flattest of all squares is this part of them: at least these show nothing but planes.
 const FLAT: f64 = 0.15; // [tuned]
-/// A square whose mean square residual exceeds that of the flat ones by this factor shows no plane. With 20 blobs to a square it
-/// scatters by a third: these are three standard deviations. A row or column that exceeds it shows more than a plane.
-const WITHIN: f64 = 2.0; // [sigmas]
+/// A square whose mean square residual exceeds that of the flat ones by this factor shows no plane, and a line of a square shows
+/// more than the plane. The mean square of 20 blobs, as many as a square has, scatters by a third: these are three standard
+/// deviations.
+const MAX_SQUARE_RATIO: f64 = 2.0; // [sigmas]
 /// Fewest planes that tell the noise.
-const FEWEST: usize = 4; // [algorithmic]
-/// Where parabolas leave less than this part of what lines are off their planes, nothing is flat, as where an object was cut out of
-/// its image: they are taken off. Of recorded rooms, tables and rocks they leave 0.37 or more, of leaves close before a camera more
-/// than 0.2, of a ball without a background before a time-of-flight camera 0.06.
+const MIN_PLANES: usize = 4; // [algorithmic]
+/// Where parabolas leave less than this part of what lines are off their planes, nothing is flat, as where an object was cut out
+/// of its image: they are taken off. Of recorded rooms, tables and rocks they leave 0.37 or more, of leaves close before a camera
+/// more than 0.2, of a ball without a background before a time-of-flight camera 0.06.
 const UNBENT: f64 = 0.2; // [measured]
 /// Number of rows and of columns of a square of which the correlation is computed.
-const LINES: u32 = 4; // [algorithmic]
+const LINES_PER_SQUARE: u32 = 4; // [algorithmic]
 /// Largest distance in pixels at which a correlation is computed: half of the largest square.
 const FARTHEST: usize = SIDES[1] as usize / 2; // [derived]
 /// Correlations up to this count as zero: chance makes them, and so do surfaces that are not quite even.
 const CHANCE: f64 = 0.1; // [tuned]
 /// Largest number of squares of which the correlation is computed.
-const MOST: usize = 16; // [algorithmic]
+const MAX_SQUARES: usize = 16; // [algorithmic]
 /// Upper bound of the part of the noise that the plane takes with it; it keeps the correction finite.
 const MOST_TAKEN: f64 = 0.5; // [algorithmic]
-/// Where no plane is seen: what a Kinect v1 shows at 1 m. In three recordings the autocorrelations that `noise_estimator` tells add
-/// up to about 6.6 to 7.8 pixels along rows, and to 3.5 to 6.2 along columns (up to 3 m).
+/// Where no plane is seen: what a Kinect v1 shows at 1 m. In three recordings the autocorrelations that `noise_estimator` tells
+/// add up to about 6.6 to 7.8 pixels along rows, and to 3.5 to 6.2 along columns (up to 3 m).
 pub(super) const UNSEEN: [f64; 2] = [7.0, 4.0]; // [measured]
 
 /// A square of the image with the plane through it.
@@ -81,30 +82,31 @@ pub(super) struct PlaneSquares {
 /// How far a pixel is off its plane, in standard deviations of the model, and 1; zeros where it is not measured.
 type Residual = [f64; 2];
 
-/// Sums of products of residuals that are 0, 1, ... pixels apart, and how many.
+/// Sums of the products of two residuals that are 0, 1, ... pixels apart, and the number of these products.
 type Covariances = [[f64; 2]; FARTHEST + 1];
 
-/// How many neighbours along rows, and along columns, count as one in an image that `view` shows by its rows with the noise
-/// that it has: the mean of many has the variance of one, times these, over their number; [`UNSEEN`] where too few planes are.
+/// How many neighbours along rows, and along columns, count as one: the mean of many pixels has the variance of one, times this
+/// number, over theirs. `view` is turned to the rows of the image and has its noise. [`UNSEEN`] where there are too few planes.
 ///
-/// Waves that are longer than what the level of the noise was taken from make planes uneven by more than that: they widen what
-/// counts as one.
+/// The level of the noise was taken from neighbours, which do not show its longer waves. Planes are uneven by these as well:
+/// where they are so by more than the level explains, more neighbours count as one.
 pub(super) fn correlation_px(view: &View, image: &[u16], buffers: &mut PlaneSquares) -> [f64; 2] {
     let half = (SIDE * view.length / USUAL_WIDTH).clamp(SIDES[0], SIDES[1]) / 2;
     buffers.sum_cells(view, image, half);
-    MEASURED.into_iter().find_map(|measured| buffers.shared_px(view, image, half, measured)).unwrap_or(UNSEEN)
+    MEASURED.into_iter().find_map(|measured| buffers.correlation_of(view, image, half, measured)).unwrap_or(UNSEEN)
 }
 
 impl PlaneSquares {
-    /// How many neighbours count as one by the squares and lines of which this part is measured; `None` where these are too few.
-    fn shared_px(&mut self, view: &View, image: &[u16], half: u32, measured: f64) -> Option<[f64; 2]> {
+    /// How many neighbours count as one, as the squares and lines show it of which this part is measured; `None` where these are
+    /// too few.
+    fn correlation_of(&mut self, view: &View, image: &[u16], half: u32, measured: f64) -> Option<[f64; 2]> {
         self.fit_squares(view, half, measured);
         let (planes, side) = (planes(&mut self.squares)?, 2 * half);
         let mut square = planes.iter().map(|square| square.square).sum::<f64>() / planes.len() as f64;
         let residuals = &mut self.residuals;
         let mut each_line = |direction: usize, look: &mut dyn FnMut(&mut [Residual])| {
-            for plane in planes.iter().step_by(planes.len().div_ceil(MOST)) {
-                for line in 0..LINES {
+            for plane in planes.iter().step_by(planes.len().div_ceil(MAX_SQUARES)) {
+                for line in 0..LINES_PER_SQUARE {
                     let count = read_line(view, image, plane, (side, direction, line), residuals);
                     if count >= measured * f64::from(side) {
                         look(residuals);
@@ -170,7 +172,7 @@ fn cells_of(view: &View, half: u32) -> [usize; 2] {
     [view.length, view.lines].map(|pixels| (pixels / half) as usize)
 }
 
-/// The part of the noise of so many independent points that a plane through them leaves: it has three parameters.
+/// The part that a plane, which has three parameters, leaves of the noise of so many independent points to which it is fitted.
 fn kept(independent: f64) -> f64 {
     1.0 - (3.0 / independent).min(MOST_TAKEN)
 }
@@ -232,12 +234,13 @@ fn fit(view: &View, quarters: [&CellSums; 4], corner: [u32; 2], half: u32, measu
 /// Those of the squares that show nothing but a plane.
 fn planes(squares: &mut [Square]) -> Option<&[Square]> {
     squares.sort_unstable_by(|a, b| a.square.total_cmp(&b.square));
-    let flattest = squares.get(..FEWEST.max((FLAT * squares.len() as f64) as usize))?;
+    let flattest = squares.get(..MIN_PLANES.max((FLAT * squares.len() as f64) as usize))?;
     let mean = flattest.iter().map(|square| square.square).sum::<f64>() / flattest.len() as f64;
-    Some(&squares[..squares.partition_point(|square| square.square <= WITHIN * mean)])
+    Some(&squares[..squares.partition_point(|square| square.square <= MAX_SQUARE_RATIO * mean)])
 }
 
-/// Reads how far one of the [`LINES`] rows, or columns, of a square is off the plane; how many of its pixels are measured.
+/// Reads how far one of the [`LINES_PER_SQUARE`] rows, or columns, of a square is off the plane; returns how many of its pixels
+/// are measured.
 fn read_line(
     view: &View,
     image: &[u16],
@@ -246,7 +249,7 @@ fn read_line(
     residuals: &mut Vec<Residual>,
 ) -> f64 {
     let scale = square.depth.powi(2) / view.variance(square.depth).sqrt();
-    let line = (2 * line + 1) * side / (2 * LINES);
+    let line = (2 * line + 1) * side / (2 * LINES_PER_SQUARE);
     residuals.clear();
     residuals.extend((0..side).map(|along| {
         let [x, y] = if direction == 0 { [along, line] } else { [line, along] };
@@ -280,15 +283,16 @@ fn unbend(line: &mut [Residual]) {
     line.iter_mut().enumerate().for_each(|(place, [residual, seen])| *residual -= *seen * parabola.dot(&terms(place)));
 }
 
-/// Adds what a line of residuals shows, given the mean square that is usual. One that exceeds it by more than [`WITHIN`] counts as one
-/// that does so by as much: it meets what the samples of the plane have missed, such as a thin thing, and would outweigh all others.
+/// Adds the products of the residuals of a line; `usual` is the mean square of lines. A line of more than [`MAX_SQUARE_RATIO`]
+/// times that is scaled down to as much: it meets what the samples of the plane have missed, such as a thin thing, and would
+/// outweigh all others.
 fn add_line(residuals: &[Residual], usual: f64, covariances: &mut Covariances) {
     let pairs = |apart: usize| {
         let pairs = residuals.iter().zip(&residuals[apart..]);
         pairs.fold([0.0; 2], |[sum, count], (a, b)| [sum + a[0] * b[0], count + a[1] * b[1]])
     };
     let [square, count] = pairs(0);
-    let share = (WITHIN * usual * count / square).min(1.0);
+    let share = (MAX_SQUARE_RATIO * usual * count / square).min(1.0);
     for (apart, [known, known_count]) in covariances.iter_mut().enumerate().take(residuals.len() / 2) {
         let [sum, count] = pairs(apart);
         *known += share * sum;
@@ -301,9 +305,9 @@ fn shared(covariances: &Covariances) -> Option<f64> {
     let mean = |[sum, count]: [f64; 2]| if count > 0.0 { sum / count } else { 0.0 };
     let variance = mean(covariances[0]);
     let correlations = covariances[1..].iter().map(|sums| mean(*sums) / variance);
-    // What has no noise at all has none in common.
-    let alike = correlations.take_while(|correlation| *correlation > CHANCE).sum::<f64>();
-    (covariances[0][1] > 0.0).then_some(1.0 + 2.0 * alike)
+    // Without noise the correlations are not numbers, and none is added.
+    let sum = correlations.take_while(|correlation| *correlation > CHANCE).sum::<f64>();
+    (covariances[0][1] > 0.0).then_some(1.0 + 2.0 * sum)
 }
 
 #[cfg(test)]
@@ -446,7 +450,7 @@ mod tests {
         let sign = |at: u32| if (at / period).is_multiple_of(2) { 0.001 } else { -0.001 };
         let (view, image) = image(|x, y| 2.0 + sign(if direction == 0 { x } else { y }));
         let (mut covariances, mut residuals) = ([[0.0; 2]; FARTHEST + 1], Vec::new());
-        for line in 0..LINES {
+        for line in 0..LINES_PER_SQUARE {
             read_line(&view, &image, &PLANE, (24, direction, line), &mut residuals);
             add_line(&residuals, 1.0, &mut covariances);
         }

@@ -42,15 +42,15 @@ pub struct ExtractorParameters {
     /// Number of missing pixels that are bridged inside a run.
     #[schemars(range(min = 0, max = 64))]
     pub max_hole_px: u32,
-    /// Number of points taken off both ends of a run, where pixels mix two depths; `arcs = "moments"` puts the last of them
-    /// back where its ray meets the circle through the others.
+    /// Number of points taken off both ends of a run, where pixels mix two depths. The last of them is put back where its ray
+    /// meets the circle through the others.
     #[schemars(range(min = 0, max = 16))]
     pub trim_px: u32,
-    /// Smallest radius of a circle through an arc, in metres; with `arcs = "conic"` smallest semi-axis of an ellipse.
+    /// Smallest radius of a circle through an arc, in metres.
     #[schemars(range(min = 0.001, max = 10.0))]
     pub min_radius_m: f64,
     /// Largest radius of what is no wall, in metres: lines wider than twice this are none of an object, whose own limits the
-    /// assembler has. With `arcs = "conic"` largest semi-axis of an ellipse.
+    /// assembler has.
     #[schemars(range(min = 0.001, max = 10.0))]
     pub max_radius_m: f64,
 }

@@ -24,11 +24,11 @@ pub(super) struct Rays<'a> {
     pub inner: Range<usize>,
     pub stretch: f64,
     slopes: &'a [f64],
-    /// Variances of the depths, each of as many points as are the surroundings of one.
+    /// Variances of the depths, one for each [`SURROUNDINGS`] points.
     variances: &'a [f64],
 }
 
-/// Puts the variances of the depths of a run into `variances`, each of as many points as are the surroundings of one.
+/// Puts the variances of the depths of a run into `variances`, one for each [`SURROUNDINGS`] points.
 ///
 /// The variance of each measurement is that at the mean depth of its surroundings: were it taken at the measured depth,
 /// it would go with the noise and spoil the moments that it is to correct.
@@ -105,12 +105,12 @@ impl<'a> Rays<'a> {
         ArcSums::of(self.parts(points), self.stretch * self.stretch).moments(count, self.stretch)
     }
 
-    /// What a line asks of an interval.
+    /// The sums of an interval that its line needs.
     pub fn line_sums(&self, points: Range<usize>) -> LineSums {
         LineSums::of(self.parts(points))
     }
 
-    /// Mean variance of some points, in that of those over which all lines were averaged.
+    /// Mean variance of some points, in that of points over which all lines were averaged.
     pub fn unaveraged(&self, points: Range<usize>) -> f64 {
         self.view.unaveraged(self.points.pairs.get(points).unwrap_or_default())
     }

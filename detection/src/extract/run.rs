@@ -8,7 +8,7 @@ use std::ops::Deref;
 /// Fewest points to which a curve is fitted first: two more than a circle has parameters.
 pub(super) const FIRST_FIT: usize = 5; // [algorithmic]
 /// Fewest points of an arc: one more than a circle has parameters.
-pub(super) const FEWEST: usize = 4; // [algorithmic]
+pub(super) const MIN_ARC_POINTS: usize = 4; // [algorithmic]
 
 /// A run, ready for fits.
 #[derive(Debug)]

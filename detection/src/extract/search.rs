@@ -62,12 +62,13 @@ impl CurveSearch {
             rejections.count(ArcRejection::FewPoints);
             return;
         }
+        let mut keep = |arc: Result<Ellipse, ArcRejection>| match arc {
+            Ok(arc) => ellipses.push(arc),
+            Err(reason) => rejections.count(reason),
+        };
         let rays = Rays::new(view, line, index, &mut self.rays);
         if let Some(arc) = accept_line(&rays, image) {
-            match arc {
-                Ok(arc) => ellipses.push(arc),
-                Err(reason) => rejections.count(reason),
-            }
+            keep(arc);
             return;
         }
         let run = Run::new(rays, &mut self.sums);
@@ -75,10 +76,7 @@ impl CurveSearch {
         for ends in self.cuts.windows(2) {
             cut_part(&run, &(ends[0]..ends[1]), &mut self.segments);
             for segment in &self.segments {
-                match if segment.is_curve { accept(&run, image, segment) } else { Err(ArcRejection::Line) } {
-                    Ok(arc) => ellipses.push(arc),
-                    Err(reason) => rejections.count(reason),
-                }
+                keep(if segment.is_curve { accept(&run, image, segment) } else { Err(ArcRejection::Line) });
             }
         }
     }

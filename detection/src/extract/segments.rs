@@ -4,7 +4,7 @@
 //! with a handful of fits in place of one per point. A segment that grows so takes in what follows, as long as its curve
 //! explains it. So the border between two segments is then moved to where both curves together explain their points best.
 
-use super::run::{FEWEST, FIRST_FIT, Run};
+use super::run::{FIRST_FIT, MIN_ARC_POINTS, Run};
 use super::view::SURROUNDINGS;
 use std::ops::Range;
 
@@ -16,7 +16,7 @@ const CREASE: f64 = 3.5; // [sigmas]
 /// The depth of a crease is computed in whole numbers, in this part of a unit of the image: 30 is divided by 3 and by 10.
 const CREASE_UNIT: f64 = 30.0; // [derived]
 /// Steps by which the border between two segments is moved, in points: by 63 at most, to a point.
-const STEPS: [usize; 6] = [32, 16, 8, 4, 2, 1]; // [algorithmic]
+const BORDER_STEPS: [usize; 6] = [32, 16, 8, 4, 2, 1]; // [algorithmic]
 
 /// An interval of a run that one curve explains.
 #[derive(Clone, Copy, Debug)]
@@ -118,7 +118,7 @@ fn border(run: &Run, left: &Segment, right: &Segment) -> usize {
     };
     let both = |at: usize| error(left.from, at, left.is_curve) + error(at, right.to, right.is_curve);
     let (mut border, mut least) = (left.to, both(left.to));
-    for step in STEPS {
+    for step in BORDER_STEPS {
         for at in [border.saturating_sub(step), border + step] {
             let are_enough = at >= left.from + FIRST_FIT && at + FIRST_FIT <= right.to;
             let error = if are_enough { both(at) } else { f64::INFINITY };
@@ -135,7 +135,7 @@ pub(super) fn next_segment(run: &Run, part: &Range<usize>, from: usize) -> Optio
     let most = part.end - from;
     let segment =
         |length: usize, is_curve: bool| Segment { part: [part.start, part.end], from, to: from + length, is_curve };
-    if most < FEWEST {
+    if most < MIN_ARC_POINTS {
         None
     } else if run.is_line(from, part.end) {
         Some(segment(most, from == part.start && run.width() < 2.0 * run.view.parameters.max_radius_m))

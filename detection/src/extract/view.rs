@@ -12,8 +12,9 @@ use std::ops::Range;
 const SCATTER: f64 = 2.5; // [sigmas]
 /// The limit's `b`: the noise model may be wrong by this part of its variance.
 const SLACK: f64 = 0.6; // [tuned]
-/// Mean square roughness of any surface, in square metres: a tenth of a millimetre, squared. It is for images without noise.
-const LEAST_SQUARE: f64 = 1e-8; // [algorithmic]
+/// Mean square roughness of any surface, in square metres, and so the least variance of its points: a tenth of a millimetre,
+/// squared. It is for images without noise.
+pub(crate) const LEAST_VARIANCE: f64 = 1e-8; // [algorithmic]
 /// Steepest surface between neighbouring pixels, as depth per distance across the view. A steeper step is a jump.
 const JUMP_SLOPE: f64 = 3.0; // [tuned]
 /// Steepest surface across a hole, as depth per distance across the view.
@@ -26,7 +27,7 @@ const BELOW: f64 = 0.999; // [algorithmic]
 /// The square root of one half, times 2^16, rounded down.
 const ROOT_HALF: u16 = 46_340; // [derived]
 /// Number of neighbours that are tested for jumps together.
-pub(super) const BATCH: usize = 64; // [algorithmic]
+pub(super) const JUMP_BATCH: usize = 64; // [algorithmic]
 /// Number of neighbouring points that share one variance, that at their mean depth.
 pub(super) const SURROUNDINGS: usize = 16; // [algorithmic]
 
@@ -52,15 +53,15 @@ pub(crate) struct View {
     pub correlation_px: [f64; 2],
     /// How neighbouring lines are averaged.
     averaging: Averaging,
-    /// Variance that rounding to the unit of the image makes at the least.
+    /// Variance of rounding to the unit of the image: no depth has less.
     pub least: f64,
-    /// The rules by which a line is split, by how many neighbours on either side count: the last holds where all do.
+    /// The rules by which a line is split where it was averaged over 0, 1, ... lines on either side.
     jumps: Vec<JumpRule>,
     /// Those of rows, and of columns.
     tables: [Tables; 2],
 }
 
-/// What is looked up for the pixels of a line, and what of.
+/// Tables for the pixels of a line, with the camera and the correlation that they were made for.
 #[derive(Debug, Default)]
 struct Tables {
     /// Slope of the ray of each pixel.
@@ -72,7 +73,7 @@ struct Tables {
 }
 
 impl Tables {
-    /// Those of lines of so many pixels, of which some share their noise; what they are already stays.
+    /// Makes the tables for lines of so many pixels. What was made for the same already stays.
     fn set(&mut self, camera: Pinhole, scan: Scan, length: u32, correlation_px: f64) {
         let is_as_long = self.slopes.len() == length as usize;
         if !is_as_long || self.camera != Some(camera) {
@@ -167,8 +168,8 @@ impl View {
         &image[line as usize * length..][..length]
     }
 
-    /// The pixels `window` of a scan line, of an image whose scan lines lie one behind another; averaged over its neighbours
-    /// where noise asks for it, and then with how many of these on either side count, else with nothing.
+    /// The pixels `window` of a scan line, of an image whose scan lines lie one behind another. Where noise asks for it they are
+    /// averaged over neighbouring lines, and the second slice has for each pixel over how many on either side; else it is empty.
     pub fn depths<'a>(
         &self,
         image: &'a [u16],
@@ -191,12 +192,12 @@ impl View {
         (&means[..length], &pairs[..length])
     }
 
-    /// Mean variance of some pixels of which so many on either side count, in that of those of which all do.
+    /// Mean variance of pixels over which so many lines on either side were averaged, in that of pixels over which all were.
     pub fn unaveraged(&self, pairs: &[u16]) -> f64 {
         self.averaging.variance(pairs)
     }
 
-    /// The rule by which a line is split where so many neighbours on either side count; of `None` all do.
+    /// The rule by which a line is split where it was averaged over so many lines on either side; `None`: over all.
     pub fn jumps(&self, pairs: Option<u16>) -> &JumpRule {
         let all = self.jumps.len() - 1;
         &self.jumps[pairs.map_or(all, usize::from)]
@@ -224,7 +225,7 @@ impl View {
     /// Largest mean square error of `points` points that noise of this variance accounts for.
     #[inline]
     pub fn limit(&self, variance: f64, points: usize) -> f64 {
-        variance * self.tables().limits[points] + LEAST_SQUARE
+        variance * self.tables().limits[points] + LEAST_VARIANCE
     }
 }
 
@@ -323,9 +324,9 @@ impl JumpRule {
     /// Ones where there may be a jump or a hole behind a measurement, of the first of neighbouring `pixels`: no others
     /// have to be looked at.
     #[inline]
-    pub fn doubtful(&self, pixels: &[u32], depths: &[u16]) -> [u8; BATCH] {
-        let mut doubtful = [0; BATCH];
-        let next = |count: usize| (BATCH + 1).min(count);
+    pub fn doubtful(&self, pixels: &[u32], depths: &[u16]) -> [u8; JUMP_BATCH] {
+        let mut doubtful = [0; JUMP_BATCH];
+        let next = |count: usize| (JUMP_BATCH + 1).min(count);
         let (pixels, depths) = (&pixels[..next(pixels.len())], &depths[..next(depths.len())]);
         for (doubtful, (&a, &b)) in doubtful.iter_mut().zip(depths.iter().zip(&depths[1..])) {
             *doubtful = u8::from(a.abs_diff(b) > self.least.step(a.min(b)));
@@ -462,7 +463,7 @@ mod tests {
             let random = |i: u32| (seed * 6 + i).wrapping_mul(2_654_435_761) >> 8;
             let depths: [u16; 6] = std::array::from_fn(|i| 1500 + (random(i as u32) % (seed / 20 + 1)) as u16);
             let doubtful = rule.doubtful(&pixels, &depths);
-            none += usize::from(doubtful == [0; BATCH]);
+            none += usize::from(doubtful == [0; JUMP_BATCH]);
             for (pair, doubtful) in depths.windows(2).zip(doubtful) {
                 assert!(doubtful == 1 || !rule.splits(pair[0], pair[1], 1), "{depths:?}");
             }

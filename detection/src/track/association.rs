@@ -9,9 +9,9 @@ use std::collections::{BTreeMap, BTreeSet};
 /// 4 ln 2 pi that pairs leave out, too: one new object in 6000 cubic metres for each metre of radius, so that all but the
 /// vaguest pairs are cheaper. An axis adds nothing: it may lie anywhere in 2 pi, which is what pairs leave out of it.
 const COST_ALONE: f64 = 10.0; // [tuned]
-/// The assignment is found in whole numbers, of this many to one.
-const STEPS: f64 = 1e6; // [algorithmic]
-/// The gain of a pair that must not be: less than all others together can make good.
+/// The assignment is found in whole numbers: a cost of one is so many.
+const UNITS_PER_COST: f64 = 1e6; // [algorithmic]
+/// The gain of a pair that must not be: no sum of others makes up for it.
 const FORBIDDEN: i64 = -1_000_000_000_000_000; // [algorithmic]
 
 /// What is paired, by its index.
@@ -100,7 +100,7 @@ impl Association {
 
 /// What a pair saves; `as` keeps what is not finite within the bounds of the numbers.
 fn gain(cost: f64) -> i64 {
-    ((COST_ALONE - cost).clamp(-1e6, 1e6) * STEPS) as i64
+    ((COST_ALONE - cost).clamp(-1e6, 1e6) * UNITS_PER_COST) as i64
 }
 
 fn free(partners: &[Option<usize>]) -> impl Iterator<Item = usize> + '_ {

@@ -16,6 +16,13 @@ pub struct Detection {
     pub position: Vector3<f64>,
     /// Covariance of the centre.
     pub covariance: Matrix3<f64>,
+    /// What it is like, wherever it is.
+    pub shape: ShapeParameters,
+}
+
+/// The parameters of an object besides its place: each is followed by a filter of its own.
+#[derive(Clone, Copy, Debug)]
+pub struct ShapeParameters {
     /// Radius at the centre, in metres.
     pub radius: Size,
     /// Length of the visible part, in metres.
@@ -24,6 +31,19 @@ pub struct Detection {
     pub axis: Option<Axis>,
     /// Half-angle of a cone, in radians.
     pub half_angle: Option<Size>,
+}
+
+impl ShapeParameters {
+    /// Those `dt` seconds later: they may have changed by what the configuration says.
+    pub fn predicted(&self, dt: f64, config: &TrackerParameters) -> Self {
+        let [axis_drift, half_angle_drift] = [config.drift_axis_deg, config.drift_half_angle_deg].map(f64::to_radians);
+        Self {
+            radius: self.radius.predicted(dt, config.drift_radius_m),
+            length: self.length.predicted(dt, config.drift_length_m),
+            axis: self.axis.map(|axis| axis.predicted(dt, axis_drift)),
+            half_angle: self.half_angle.map(|half_angle| half_angle.predicted(dt, half_angle_drift)),
+        }
+    }
 }
 
 impl Detection {
@@ -49,28 +69,25 @@ impl Detection {
                 along,
                 config.floor_center_m,
             ),
-            radius: Size::new(object.radius, variance(sigma.radius, radius_floor)),
-            length: Size::new(object.length, variance(sigma.length, config.floor_length_m)),
-            // Of an angle's square each of the two directions across makes half.
-            axis: direction.map(|axis| Axis::new(axis, 0.5 * variance(sigma.axis, config.floor_axis_deg.to_radians()))),
-            half_angle: kind.has_half_angle().then_some(half_angle),
+            shape: ShapeParameters {
+                radius: Size::new(object.radius, variance(sigma.radius, radius_floor)),
+                length: Size::new(object.length, variance(sigma.length, config.floor_length_m)),
+                // Of an angle's square each of the two directions across makes half.
+                axis: direction
+                    .map(|axis| Axis::new(axis, 0.5 * variance(sigma.axis, config.floor_axis_deg.to_radians()))),
+                half_angle: kind.has_half_angle().then_some(half_angle),
+            },
         }
     }
-}
 
-impl Detection {
     /// What it tells of the state of an object `seconds` later: its variances grow by what moves and changes an object in that time.
     ///
     /// The noise `Q` of acceleration adds `[I, -dt I] Q [I, -dt I]' = q dt^3 / 3` to the variance of the position.
     pub fn told_later(&self, seconds: f64, config: &TrackerParameters) -> Self {
-        let later = |size: Size, drift: f64| size.predicted(seconds, drift);
         let spread = config.acceleration.powi(2) * seconds.powi(3) / 3.0;
         Self {
             covariance: self.covariance + Matrix3::from_diagonal_element(spread),
-            radius: later(self.radius, config.drift_radius_m),
-            length: later(self.length, config.drift_length_m),
-            axis: self.axis.map(|axis| axis.predicted(seconds, config.drift_axis_deg.to_radians())),
-            half_angle: self.half_angle.map(|angle| later(angle, config.drift_half_angle_deg.to_radians())),
+            shape: self.shape.predicted(seconds, config),
             ..self.clone()
         }
     }
@@ -139,10 +156,10 @@ mod tests {
         let pose = IsometryMatrix3::from_parts(Translation3::new(0.0, 0.0, 5.0), quarter);
         let detection = Detection::new(&cylinder(), &pose, &config());
         assert!((detection.position - Vector3::new(0.0, 1.0, 5.0)).norm() < 1e-15);
-        assert!((detection.axis.unwrap().direction.into_inner() + Vector3::x()).norm() < 1e-15);
+        assert!((detection.shape.axis.unwrap().direction.into_inner() + Vector3::x()).norm() < 1e-15);
         let expected = Matrix3::new(9e-6 + 1e-6 + 2.5e-3, -1e-6, 0.0, -1e-6, 4e-6 + 1e-6, 0.0, 0.0, 0.0, 1e-6 + 1e-6);
         assert!((detection.covariance - expected).norm() < 1e-15);
-        assert!((detection.radius.variance - 25e-6).abs() < 1e-18);
+        assert!((detection.shape.radius.variance - 25e-6).abs() < 1e-18);
     }
 
     #[test]
@@ -153,12 +170,12 @@ mod tests {
         let detection = Detection::new(&object, &IsometryMatrix3::identity(), &config());
         assert!((detection.covariance.diagonal() - Vector3::new(5e-6, 1e-6, 2e-6)).norm() < 1e-18);
         assert_eq!(detection.covariance[(0, 1)], 0.0);
-        assert!(detection.axis.is_none() && detection.half_angle.is_none());
+        assert!(detection.shape.axis.is_none() && detection.shape.half_angle.is_none());
     }
 
     #[test]
     fn an_axis_of_zero_is_none() {
         let object = Object { axis: [0.0; 3], ..cylinder() };
-        assert!(Detection::new(&object, &IsometryMatrix3::identity(), &config()).axis.is_none());
+        assert!(Detection::new(&object, &IsometryMatrix3::identity(), &config()).shape.axis.is_none());
     }
 }

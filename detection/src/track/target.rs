@@ -1,8 +1,8 @@
 //! One object that is followed: the filters of its parameters, its shape and its life.
 
 use super::ballistic::Fall;
-use super::detection::{Detection, rotated};
-use super::filter::{Axis, Motion, Size};
+use super::detection::{Detection, ShapeParameters, rotated};
+use super::filter::{Motion, Size};
 use super::life::Life;
 use super::parameters::TrackerParameters;
 use super::timeline::Advance;
@@ -36,12 +36,9 @@ pub struct Target {
     votes: [u32; ObjectKind::ALL.len()],
     motion: Motion,
     fall: Fall,
-    radius: Size,
-    length: Size,
-    axis: Option<Axis>,
+    shape: ShapeParameters,
     /// So many more sights had the axis of a cone this way than the other way round. An opposite sight at 0 turns it over.
     sense: u32,
-    half_angle: Option<Size>,
     common: CommonError,
     last_seen: Object,
     /// The source that saw it last.
@@ -64,14 +61,14 @@ struct CommonError {
 
 impl CommonError {
     fn of(sight: &Detection, share: f64) -> Self {
-        let half_angle = sight.half_angle.map_or(0.0, |half_angle| half_angle.variance * share);
-        Self { position: sight.covariance * share, radius: sight.radius.variance * share, half_angle }
+        let half_angle = sight.shape.half_angle.map_or(0.0, |half_angle| half_angle.variance * share);
+        Self { position: sight.covariance * share, radius: sight.shape.radius.variance * share, half_angle }
     }
 
     /// That after one more sight; one as a cylinder tells nothing of a cone's half-angle.
     fn after(&self, sight: &Detection, share: f64) -> Self {
         let now = Self::of(sight, share);
-        if sight.half_angle.is_some() { now } else { Self { half_angle: self.half_angle, ..now } }
+        if sight.shape.half_angle.is_some() { now } else { Self { half_angle: self.half_angle, ..now } }
     }
 }
 
@@ -88,11 +85,8 @@ impl Target {
             votes,
             motion: Motion::new(first.position, first.covariance, config.initial_speed_mps),
             fall: Fall::default(),
-            radius: first.radius,
-            length: first.length,
-            axis: first.axis,
+            shape: first.shape,
             sense: 1,
-            half_angle: first.half_angle,
             common: CommonError::of(first, config.common_share),
             last_seen: first.object,
             seen_by: time.source,
@@ -112,17 +106,8 @@ impl Target {
             then.fall(dt, has_pose, config);
             then.at_ns = time.at_ns;
         }
-        then.change(dt.abs(), config);
+        then.shape = then.shape.predicted(dt.abs(), config);
         then
-    }
-
-    /// The shape may have changed in `dt` seconds.
-    fn change(&mut self, dt: f64, config: &TrackerParameters) {
-        self.radius = self.radius.predicted(dt, config.drift_radius_m);
-        self.length = self.length.predicted(dt, config.drift_length_m);
-        self.axis = self.axis.map(|axis| axis.predicted(dt, config.drift_axis_deg.to_radians()));
-        let drift = config.drift_half_angle_deg.to_radians();
-        self.half_angle = self.half_angle.map(|half_angle| half_angle.predicted(dt, drift));
     }
 
     /// Keeps what became of it in a frame, `then`, in which it was seen or not.
@@ -156,7 +141,7 @@ impl Target {
     fn fall(&mut self, dt: f64, has_pose: bool, config: &TrackerParameters) {
         let Some(ballistic) = config.ballistic.filter(|_| self.kind == ObjectKind::Sphere) else { return };
         let steady = self.motion.clone();
-        let falling = ballistic.fallen(steady.clone(), dt, self.radius.value, has_pose);
+        let falling = ballistic.fallen(steady.clone(), dt, self.shape.radius.value, has_pose);
         let (holds, other) = if self.fall.holds() { (falling, steady) } else { (steady, falling) };
         self.motion = holds;
         self.fall.other = Some(other);
@@ -199,7 +184,7 @@ impl Target {
 
     fn cost_of(&self, motion: &Motion, detection: &Detection, config: &TrackerParameters) -> Option<f64> {
         let kind_cost = kind_cost(self.kind, detection.kind)?;
-        let radius_cost = self.radius_cost(detection.radius, config)?;
+        let radius_cost = self.radius_cost(detection.shape.radius, config)?;
         let axis_cost = self.axis_cost(detection, config)?;
         let innovation = motion.innovation(&detection.position, &detection.covariance)?;
         let distance2 = innovation.distance2();
@@ -208,15 +193,16 @@ impl Target {
 
     /// An outlier of the radius costs no more than one at the gate.
     fn radius_cost(&self, measured: Size, config: &TrackerParameters) -> Option<f64> {
-        let distance2 = self.radius.distance2(measured);
-        let passes = (measured.value - self.radius.value).abs() <= config.max_radius_change * self.radius.value;
-        let spread = (self.radius.variance + measured.variance).ln();
+        let radius = self.shape.radius;
+        let distance2 = radius.distance2(measured);
+        let passes = (measured.value - radius.value).abs() <= config.max_radius_change * radius.value;
+        let spread = (radius.variance + measured.variance).ln();
         (distance2 < config.gate || passes).then(|| distance2.min(config.gate) + spread)
     }
 
     /// The same of the axis, for both directions across it. Nothing is known of it where one has none.
     fn axis_cost(&self, detection: &Detection, config: &TrackerParameters) -> Option<f64> {
-        let Some((axis, seen)) = self.axis.zip(detection.axis) else { return Some(0.0) };
+        let Some((axis, seen)) = self.shape.axis.zip(detection.shape.axis) else { return Some(0.0) };
         let distance2 = axis.distance2(seen);
         let passes = axis.angle(seen) <= config.max_axis_change_deg.to_radians();
         let spread = 2.0 * (axis.variance + seen.variance).max(f64::MIN_POSITIVE).ln();
@@ -240,14 +226,14 @@ impl Target {
         if let Some(innovation) = self.motion.innovation(&detection.position, &detection.covariance) {
             self.motion.update(&innovation, &detection.covariance);
         }
-        self.radius.update(detection.radius);
-        self.length.update(detection.length);
+        self.shape.radius.update(detection.shape.radius);
+        self.shape.length.update(detection.shape.length);
         self.vote(detection);
         self.turn(detection);
-        update_or_begin(&mut self.half_angle, detection.half_angle);
+        update_or_begin(&mut self.shape.half_angle, detection.shape.half_angle);
         self.common = self.common.after(detection, config.common_share);
         // What `max_radius_change` let pass is a step or an outlier: no noise, so the sigma has to cover it.
-        self.common.radius = self.common.radius.max(self.radius.lacking(detection.radius, config.gate));
+        self.common.radius = self.common.radius.max(self.shape.radius.lacking(detection.shape.radius, config.gate));
         self.last_seen = detection.object;
         self.life.seen();
     }
@@ -269,7 +255,7 @@ impl Target {
             return;
         }
         self.kind = detection.kind;
-        if let (Some(axis), Some(seen)) = (&mut self.axis, detection.axis)
+        if let (Some(axis), Some(seen)) = (&mut self.shape.axis, detection.shape.axis)
             && axis.direction.dot(&seen.direction) < 0.0
         {
             axis.direction = -axis.direction;
@@ -280,9 +266,9 @@ impl Target {
     /// The direction of the axis is filtered as that of a line. Which way the axis of a cone points is not a matter of more or less:
     /// that holds which was seen most often of late.
     fn turn(&mut self, detection: &Detection) {
-        let Some(seen) = detection.axis else { return };
-        let Some(axis) = &mut self.axis else {
-            self.axis = Some(seen);
+        let Some(seen) = detection.shape.axis else { return };
+        let Some(axis) = &mut self.shape.axis else {
+            self.shape.axis = Some(seen);
             return;
         };
         let agrees = axis.direction.dot(&seen.direction) >= 0.0;
@@ -327,10 +313,10 @@ impl Target {
             points: seen.points,
             rows: seen.rows,
             center: center.coords.into(),
-            radius: self.radius.value,
+            radius: self.shape.radius.value,
             sigma: ObjectSigma {
                 center: rotated(&covariance, rotation).transpose().into(),
-                radius: (self.radius.variance + self.common.radius).sqrt(),
+                radius: (self.shape.radius.variance + self.common.radius).sqrt(),
                 ..ObjectSigma::default()
             },
             rms: seen.rms,
@@ -338,18 +324,18 @@ impl Target {
             confidence: seen.confidence,
             ..Object::default()
         };
-        let Some(axis) = self.axis.filter(|_| self.kind.has_axis()) else { return sphere };
+        let Some(axis) = self.shape.axis.filter(|_| self.kind.has_axis()) else { return sphere };
         let cylinder = Object {
             axis: (rotation * axis.direction.into_inner()).normalize().into(), // a pose is rounded
-            length: self.length.value,
+            length: self.shape.length.value,
             sigma: ObjectSigma {
                 axis: (2.0 * axis.variance).sqrt(),
-                length: self.length.variance.sqrt(),
+                length: self.shape.length.variance.sqrt(),
                 ..sphere.sigma
             },
             ..sphere
         };
-        let Some(half_angle) = self.half_angle.filter(|_| self.kind.has_half_angle()) else { return cylinder };
+        let Some(half_angle) = self.shape.half_angle.filter(|_| self.kind.has_half_angle()) else { return cylinder };
         let variance = half_angle.variance + self.common.half_angle;
         with_half_angle(cylinder, Size { variance, ..half_angle })
     }

@@ -73,8 +73,8 @@ fn what_a_pair_costs_is_minus_twice_the_logarithm_of_its_likelihood() {
         [cylinder(place), seen].map(|object| Detection::new(&object, &IsometryMatrix3::identity(), &config));
     let (spread, offset) = (first.covariance + then.covariance, then.position - first.position);
     let expected_of_place = offset.dot(&(spread.try_inverse().unwrap() * offset)) + spread.determinant().ln();
-    let radius = first.radius.variance + then.radius.variance;
-    let axis = first.axis.unwrap().variance + then.axis.unwrap().variance;
+    let radius = first.shape.radius.variance + then.shape.radius.variance;
+    let axis = first.shape.axis.unwrap().variance + then.shape.axis.unwrap().variance;
     let expected = expected_of_place + wider * wider / radius + radius.ln() + angle * angle / axis + 2.0 * axis.ln();
     let time = Advance { source: 0, at_ns: 0, elapsed_s: 0.0, usual_s: f64::INFINITY, new_run: false };
     let cost = Target::born(1, &first, &time, &config).cost(&then, &config).unwrap();
