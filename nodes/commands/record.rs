@@ -104,8 +104,7 @@ impl Tally {
     fn count(&mut self, topic: &str, header: &Header) {
         let (messages, lost) = self.topics.entry(topic.to_owned()).or_default();
         *messages += 1;
-        let writer = header.trace().last().map(|hop| hop.stage).unwrap_or_default();
-        if let Some(last) = self.last.insert((topic.to_owned(), writer), header.number) {
+        if let Some(last) = self.last.insert((topic.to_owned(), header.writer()), header.number) {
             *lost += header.number.saturating_sub(last.saturating_add(1));
         }
     }
