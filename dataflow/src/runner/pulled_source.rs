@@ -98,8 +98,7 @@ impl PulledSource {
         self.is_over |= !place.send(header, making, None)?;
         let message = AnyMessage { header: &header, item: &item, bytes };
         message.each_label(|label| place.record.status.count_found(label));
-        place.output_port.tally(&mut place.record.status, header.sequence);
-        place.keep_counts();
+        place.keep_counts(header.sequence);
         Ok(())
     }
 

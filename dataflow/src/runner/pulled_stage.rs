@@ -173,9 +173,7 @@ impl PulledStage {
         }
         let Some(step) = self.step.take() else { return Ok(()) };
         self.place.keep_times(&step.header, step.received_ns, step.started.elapsed().saturating_sub(step.waited));
-        let place = &mut self.place;
-        place.output_port.tally(&mut place.record.status, step.header.sequence);
-        place.keep_counts();
+        self.place.keep_counts(step.header.sequence);
         Ok(())
     }
 
