@@ -145,7 +145,6 @@ impl<'a> Topics<'a> {
         let of_kind = |kind: &str| {
             let mut found: Vec<&Topic> = running.topics().filter(|topic| topic.kind() == Some(kind)).collect();
             found.sort_by(|a, b| a.name.cmp(&b.name));
-            found.dedup_by(|a, b| a.name == b.name);
             found
         };
         let depths = of_kind(u16::NAME);
