@@ -209,7 +209,7 @@ impl<'a> Receiving<'a> {
                 return Ok(());
             }
         };
-        let writer = header.trace().last().map(|hop| hop.stage.to_string()).unwrap_or_default();
+        let writer = header.writer().to_string();
         if !self.edge.writers.contains(&writer) {
             self.refusals.leave_out(&format!("no stage `{writer}` of machine `{}` writes it", self.edge.from));
             self.pass_over(place, bytes);
@@ -324,7 +324,7 @@ impl Unread {
 /// from is ahead by `offset_ns`. Tells how long the message was under way. Before the clocks have been compared, which takes a
 /// heartbeat whose times can be, it counts as sent just now; never as sent later than it came.
 fn to_own_clock(header: &mut Header, offset_ns: Option<i64>, now_ns: u64) -> Duration {
-    let sent_ns = header.trace().last().map_or(0, |hop| hop.sent_ns);
+    let sent_ns = header.sent_ns();
     let offset_ns = offset_ns.map_or(i128::from(sent_ns) - i128::from(now_ns), i128::from);
     let own = |time_ns: u64| (i128::from(time_ns) - offset_ns).clamp(0, i128::from(now_ns)) as u64;
     let used = (header.hop_count as usize).min(MAX_HOPS);

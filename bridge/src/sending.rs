@@ -170,7 +170,7 @@ impl<'a> Sending<'a> {
         self.counts.overtaken.store(if is_lossless { 0 } else { counts.dropped }, Ordering::Relaxed);
         let Some(message) = taken else { return Ok(false) };
         let header = *message.header();
-        let writer = header.trace().last().map(|hop| hop.stage.to_string()).unwrap_or_default();
+        let writer = header.writer().to_string();
         if !self.edge.writers.contains(&writer) {
             return Ok(true);
         }
@@ -200,8 +200,7 @@ impl<'a> Sending<'a> {
         EdgeCounts::add(&self.counts.messages, 1);
         EdgeCounts::add(&self.counts.wire_bytes, wire_bytes as u64);
         EdgeCounts::add(&self.counts.memory_bytes, memory_bytes as u64);
-        let sent_ns = header.trace().last().map_or(0, |hop| hop.sent_ns);
-        let age = monotonic_ns().saturating_sub(sent_ns);
+        let age = monotonic_ns().saturating_sub(header.sent_ns());
         self.counts.age_ns.store(age, Ordering::Relaxed);
     }
 

@@ -12,6 +12,7 @@ use crate::registry::Registry;
 use conicflow_messages::{Hinted, Item, Nothing};
 use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
+use std::collections::HashSet;
 use std::path::PathBuf;
 
 /// Raised with each change of what launcher and stages agree on: the plan, records, names in shared memory.
@@ -162,9 +163,11 @@ impl Plan {
         self.stages.iter().filter(|stage| other.stage(&stage.name) != Some(stage))
     }
 
-    /// All topics, once for each stage that writes or reads one.
+    /// All topics that stages write or read, each once.
     pub fn topics(&self) -> impl Iterator<Item = &Topic> {
-        self.stages.iter().flat_map(|stage| stage.wiring.output.iter().chain(stage.wiring.inputs()))
+        let mut names = HashSet::new();
+        let joined = self.stages.iter().flat_map(|stage| stage.wiring.output.iter().chain(stage.wiring.inputs()));
+        joined.filter(move |topic| names.insert(&topic.name))
     }
 
     /// What keeps the topics of this run apart from those of others, whatever those have left behind.

@@ -230,13 +230,12 @@ impl RunningPipeline {
         self.topic(name).ok_or_else(|| {
             let mut names: Vec<_> = self.topics().map(|topic| topic.name.as_str()).collect();
             names.sort_unstable();
-            names.dedup();
             let what = format!("pipeline `{}` has no topic `{name}`", self.plan.pipeline);
             WatchError::Unclear(Hinted::new(what, suggestion(name, names, "topics")))
         })
     }
 
-    /// All topics, once for each stage that writes or reads one.
+    /// All topics that stages write or read, each once.
     pub fn topics(&self) -> impl Iterator<Item = &Topic> {
         self.plan.topics()
     }

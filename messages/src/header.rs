@@ -199,6 +199,16 @@ impl Header {
         self.trace().first().map_or_else(Text::default, |hop| hop.stage)
     }
 
+    /// The stage that wrote this message.
+    pub fn writer(&self) -> Text<32> {
+        self.trace().last().map_or_else(Text::default, |hop| hop.stage)
+    }
+
+    /// When that stage sent it, on the monotonic clock of this machine; 0 where no hop is recorded.
+    pub fn sent_ns(&self) -> u64 {
+        self.trace().last().map_or(0, |hop| hop.sent_ns)
+    }
+
     /// Records that a stage passed the message on; beyond [`MAX_HOPS`] nothing is recorded.
     pub fn add_hop(&mut self, hop: Hop) {
         if let Some(slot) = self.hops.get_mut(self.hop_count as usize) {
@@ -359,12 +369,13 @@ mod tests {
     }
 
     #[test]
-    fn the_first_hop_is_the_origin() {
+    fn the_first_hop_is_the_origin_and_the_last_one_the_writer() {
         let mut header = Header::default();
-        assert_eq!(header.origin(), Text::default());
-        for stage in ["camera", "extractor"] {
-            header.add_hop(Hop { stage: Text::new(stage), ..Hop::default() });
+        assert_eq!((header.origin(), header.writer(), header.sent_ns()), (Text::default(), Text::default(), 0));
+        for (stage, sent_ns) in [("camera", 7), ("extractor", 9)] {
+            header.add_hop(Hop { stage: Text::new(stage), received_ns: 5, sent_ns });
             assert_eq!(header.origin(), Text::new("camera"));
+            assert_eq!((header.writer(), header.sent_ns()), (Text::new(stage), sent_ns));
         }
     }
 

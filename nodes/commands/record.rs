@@ -1,7 +1,7 @@
 //! `conicflow record`: topics of a running pipeline into a recording, by an onlooker for whom no stage waits.
 
 use super::invocation::say;
-use super::topic::{PipelineName, each_once, topics};
+use super::topic::PipelineName;
 use crate::NODES;
 use crate::recording::files::is_recording;
 use crate::recording::recorder::{Recorded, Recorder, file_at};
@@ -11,7 +11,7 @@ use clap::Args;
 use conicflow_dataflow::{Requirements, Watching, monotonic_ns};
 use conicflow_messages::{Header, Hinted, Text};
 use conicflow_view::give_way;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::path::PathBuf;
 
 /// What is recorded, and where.
@@ -66,8 +66,12 @@ pub fn record(arguments: &RecordArguments) -> Result<()> {
     let running = arguments.of.find()?;
     let recorded = match &arguments.topics[..] {
         // What nothing is told of can only be recorded where it is asked for, and then that is said.
-        [] => topics(&running).into_iter().filter(|topic| topic.item.is_some()).collect(),
-        named => each_once(named.iter().map(|name| running.expect_topic(name)).collect::<Result<Vec<_>, _>>()?),
+        [] => running.topics().filter(|topic| topic.item.is_some()).collect(),
+        named => {
+            let mut names = HashSet::new();
+            let each_once = named.iter().filter(|name| names.insert(*name));
+            each_once.map(|name| running.expect_topic(name)).collect::<Result<Vec<_>, _>>()?
+        }
     };
     let needs = Requirements::of(&running.plan, NODES);
     recorded.iter().try_for_each(|topic| needs.look_for_onlooker(topic))?;
@@ -104,8 +108,7 @@ impl Tally {
     fn count(&mut self, topic: &str, header: &Header) {
         let (messages, lost) = self.topics.entry(topic.to_owned()).or_default();
         *messages += 1;
-        let writer = header.trace().last().map(|hop| hop.stage).unwrap_or_default();
-        if let Some(last) = self.last.insert((topic.to_owned(), writer), header.number) {
+        if let Some(last) = self.last.insert((topic.to_owned(), header.writer()), header.number) {
             *lost += header.number.saturating_sub(last.saturating_add(1));
         }
     }

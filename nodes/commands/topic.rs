@@ -10,7 +10,6 @@ use conicflow_dataflow::{
     PipelineActivity, Requirements, RunningPipeline, Table, TopicActivity, WatchError, Watching, monotonic_ns, observe,
 };
 use conicflow_view::give_way;
-use std::collections::HashSet;
 use std::io::{Write, stdout};
 use std::thread::sleep;
 use std::time::Duration;
@@ -79,21 +78,10 @@ impl PipelineName {
     }
 }
 
-/// All topics of a pipeline, each once.
-pub(crate) fn topics(running: &RunningPipeline) -> Vec<&Topic> {
-    each_once(running.topics())
-}
-
-/// Each of these topics once, in the order in which they come first.
-pub(crate) fn each_once<'a>(topics: impl IntoIterator<Item = &'a Topic>) -> Vec<&'a Topic> {
-    let mut names = HashSet::new();
-    topics.into_iter().filter(|topic| names.insert(topic.name.as_str())).collect()
-}
-
 fn list(running: &RunningPipeline) -> anyhow::Result<()> {
     let mut table = Table::new(&["TOPIC", "KIND", "WRITER", "Hz", "MB/s", "READERS"]);
     let activities = activities(running, None)?;
-    for topic in topics(running) {
+    for topic in running.topics() {
         let named = [topic.name.as_str(), topic.kind().unwrap_or("?")].map(str::to_owned);
         let mut written: Vec<_> = activities.iter().filter(|activity| activity.topic == topic.name).map(row).collect();
         if written.is_empty() {

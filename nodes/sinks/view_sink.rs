@@ -3,10 +3,12 @@
 //! A step costs a copy of the frame while somebody looks, and nothing else; the page is served by threads that give way.
 
 use crate::viewing::graph::GraphWatch;
-use crate::viewing::pausing;
-use conicflow_dataflow::{ConfigFault, Context, Output, SideInput, SideInputs, Stage, StageError, monotonic_ns};
-use conicflow_messages::{Hinted, Item, Message, Nothing, Object, Track};
-use conicflow_view::{Depth, Display, Frame, List, Listen, ListenFault, Page, Server, give_way};
+use crate::viewing::{list_of, pausing};
+use conicflow_dataflow::{
+    AnyMessage, ConfigFault, Context, ItemType, Output, SideInput, SideInputs, Stage, StageError, monotonic_ns,
+};
+use conicflow_messages::{Hinted, Item, Message, Nothing};
+use conicflow_view::{Depth, Display, Frame, Listen, ListenFault, Page, Server, give_way};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::marker::PhantomData;
@@ -37,40 +39,6 @@ impl ViewSinkConfig {
     }
 }
 
-/// Items that the page shows.
-pub trait Shown: Item {
-    /// As a list, where they were found.
-    fn list(items: &[Self]) -> List;
-
-    /// As pixels, where they are measured.
-    fn pixels(items: &[Self]) -> Option<&[u16]> {
-        let _ = items;
-        None
-    }
-}
-
-impl Shown for Track {
-    fn list(items: &[Self]) -> List {
-        List::Tracks(items.to_vec())
-    }
-}
-
-impl Shown for Object {
-    fn list(items: &[Self]) -> List {
-        List::Objects(items.to_vec())
-    }
-}
-
-impl Shown for u16 {
-    fn list(_: &[Self]) -> List {
-        List::None
-    }
-
-    fn pixels(items: &[Self]) -> Option<&[u16]> {
-        Some(items)
-    }
-}
-
 /// Shows each message, with the depth image of the same frame.
 pub struct ViewSink<T> {
     display: Arc<Display>,
@@ -78,7 +46,7 @@ pub struct ViewSink<T> {
     item: PhantomData<T>,
 }
 
-impl<T: Shown> Stage for ViewSink<T> {
+impl<T: Item> Stage for ViewSink<T> {
     const NAME: &'static str = "view_sink";
     const SUMMARY: &'static str = "Shows depth images and what was found in them on a page for the browser";
     type Config = ViewSinkConfig;
@@ -112,15 +80,12 @@ impl<T: Shown> Stage for ViewSink<T> {
         if !self.display.is_watched() {
             return Ok(());
         }
-        let header = *input.header;
-        let beside = sides.get::<u16>("depth");
-        let depth = match (T::pixels(input.items), &beside) {
-            (Some(pixels), _) => Some(Depth { header, pixels: pixels.to_vec() }),
-            (None, Some(beside)) => Some(Depth { header: *beside.header, pixels: beside.items.to_vec() }),
-            (None, None) => None,
-        };
+        let (header, bytes) = (*input.header, bytemuck::cast_slice(input.items));
+        let message = AnyMessage { header: &header, item: const { &ItemType::of::<T>() }, bytes };
+        let depth = message.typed::<u16>().or_else(|| sides.get::<u16>("depth"));
+        let depth = depth.map(|depth| Arc::new(Depth { header: *depth.header, pixels: depth.items.to_vec() }));
         let latency_ms = header.latency_ms(monotonic_ns());
-        let (depth, list) = (depth.map(Arc::new), T::list(input.items));
+        let list = list_of(&message).unwrap_or_default();
         self.display.show(Frame { header, depth, list, compared: None, latency_ms });
         output.count("frames shown", 1);
         Ok(())
@@ -157,6 +122,7 @@ fn show_graph(shown: &Weak<Display>) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use conicflow_messages::Track;
 
     #[test]
     fn an_address_that_is_none_is_told_before_the_start() {

@@ -1,13 +1,13 @@
 //! Shows running pipelines on the page, as an onlooker for whom no stage waits: attached while somebody looks, and not else.
 
 use super::graph::GraphWatch;
-use super::pausing;
+use super::{list_of, pausing};
 use crate::NODES;
 use anyhow::Result;
 use conicflow_dataflow::ports::Topic;
 use conicflow_dataflow::{ItemType, Requirements, RunningPipeline, Watching, monotonic_ns};
 use conicflow_messages::{Item, Object, Track};
-use conicflow_view::{Command, Display, Gatherer, List};
+use conicflow_view::{Command, Display, Gatherer};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, sleep};
@@ -115,9 +115,7 @@ impl Live {
         let wants = || if goes_on() { Watching::GoOn } else { Watching::Enough };
         running.watch_while::<anyhow::Error>(&watched, wants, |_, message| {
             let (header, now) = (message.header, Instant::now());
-            let list = message.items::<Track>().map(|tracks| List::Tracks(tracks.to_vec()));
-            let list = list.or_else(|| message.items::<Object>().map(|objects| List::Objects(objects.to_vec())));
-            let frame = match (list, message.items::<u16>()) {
+            let frame = match (list_of(&message), message.items::<u16>()) {
                 (Some(list), _) => gatherer.list(header, list, header.latency_ms(monotonic_ns()), now),
                 (None, Some(pixels)) => gatherer.depth(header, pixels, now),
                 (None, None) => None,
@@ -145,7 +143,6 @@ impl<'a> Topics<'a> {
         let of_kind = |kind: &str| {
             let mut found: Vec<&Topic> = running.topics().filter(|topic| topic.kind() == Some(kind)).collect();
             found.sort_by(|a, b| a.name.cmp(&b.name));
-            found.dedup_by(|a, b| a.name == b.name);
             found
         };
         let depths = of_kind(u16::NAME);

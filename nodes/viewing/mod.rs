@@ -4,3 +4,13 @@ pub mod graph;
 pub mod live;
 pub mod pausing;
 pub mod player;
+
+use conicflow_dataflow::AnyMessage;
+use conicflow_messages::{Object, Track};
+use conicflow_view::List;
+
+/// What a message says was found, for the page; `None` where its items are neither tracks nor objects.
+pub fn list_of(message: &AnyMessage<'_>) -> Option<List> {
+    let tracks = message.items::<Track>().map(|tracks| List::Tracks(tracks.to_vec()));
+    tracks.or_else(|| message.items::<Object>().map(|objects| List::Objects(objects.to_vec())))
+}

@@ -239,8 +239,7 @@ impl Writer for MemoryWriter {
             return 0;
         }
         let (kept, messages) = (lock(&self.channel.kept), self.sent.iter().filter(|sent| !sent.header.ends_stream()));
-        let writer = |header: &Header| header.trace().last().map(|hop| hop.stage).unwrap_or_default();
-        let is_unfinished = |sent: &&Arc<MemoryMessage>| sent.header.number >= kept.next(reader, writer(&sent.header));
+        let is_unfinished = |sent: &&Arc<MemoryMessage>| sent.header.number >= kept.next(reader, sent.header.writer());
         messages.skip_while(|sent| !is_unfinished(sent)).count()
     }
 

@@ -132,7 +132,8 @@ impl<R: Reader> InputPort<R> {
             }
         }
         let Some(message) = self.pending.pop_front() else { return Ok(None) };
-        let (header, (source, writer)) = (message.header(), ends_of_trace(message.header()));
+        let header = message.header();
+        let (source, writer) = (header.origin(), header.writer());
         let &Header { number, epoch, sequence, .. } = header;
         self.worked_on.numbers.insert(writer, number);
         self.worked_on.frames.insert(source, (epoch, sequence));
@@ -154,7 +155,7 @@ impl<R: Reader> InputPort<R> {
     pub(crate) fn acknowledge_but<'a>(&mut self, kept: impl Iterator<Item = &'a Header> + Clone) {
         for writer in std::mem::take(&mut self.unsaid) {
             let own = |headers: &mut dyn Iterator<Item = &Header>| {
-                headers.filter(|header| is_from(header, &writer)).map(|header| header.number).min()
+                headers.filter(|header| header.writer() == writer).map(|header| header.number).min()
             };
             let waits = own(&mut kept.clone()).into_iter().chain(own(&mut self.buffered())).min();
             let came = self.came.get(&writer).copied().unwrap_or_default();
@@ -212,7 +213,7 @@ impl<R: Reader> InputPort<R> {
         first.numbers.iter().all(|(writer, first)| {
             let seen = self.last_number.get(writer).map_or(0, |last| last.saturating_add(1)) >= *first;
             let is_before =
-                |message: &R::Message| is_from(message.header(), writer) && message.header().number < *first;
+                |message: &R::Message| message.header().writer() == *writer && message.header().number < *first;
             (seen || self.ended.contains(writer.as_str().unwrap_or_default())) && !self.pending.iter().any(is_before)
         })
     }
@@ -244,8 +245,8 @@ impl<R: Reader> InputPort<R> {
     fn dispensable(&self) -> Option<usize> {
         let headers: Vec<_> = self.buffered().collect();
         (0..headers.len()).find(|&index| {
-            let writer = ends_of_trace(headers[index]).1;
-            !headers[index].ends_stream() && headers[index + 1..].iter().any(|later| is_from(later, &writer))
+            let writer = headers[index].writer();
+            !headers[index].ends_stream() && headers[index + 1..].iter().any(|later| later.writer() == writer)
         })
     }
 
@@ -261,14 +262,14 @@ impl<R: Reader> InputPort<R> {
 
     /// Whether a message of this writer is buffered.
     pub(crate) fn has_buffered(&self, writer: &str) -> bool {
-        self.pending.iter().any(|message| is_from(message.header(), &Text::new(writer)))
+        self.pending.iter().any(|message| message.header().writer() == Text::new(writer))
     }
 
     /// By writer, the number of the first message that is buffered; an end has the number that would follow.
     pub(crate) fn first_buffered(&self) -> Watermark {
         let mut first = Watermark::default();
         for header in self.buffered() {
-            first.numbers.entry(ends_of_trace(header).1).or_insert(header.number);
+            first.numbers.entry(header.writer()).or_insert(header.number);
         }
         first
     }
@@ -343,7 +344,7 @@ impl<R: Reader> InputPort<R> {
         }
         if self.writers == 1 && writer != Text::default() {
             self.last_number.entry(writer).or_insert(number);
-            if self.buffered().any(|header| is_from(header, &writer) && header.number <= number) {
+            if self.buffered().any(|header| header.writer() == writer && header.number <= number) {
                 self.counted = Some((writer, number));
             } else {
                 self.last_frame.entry(source).or_insert((epoch, sequence));
@@ -375,7 +376,7 @@ impl<R: Reader> InputPort<R> {
     /// Whether a message is to be worked on: it makes sense, is news, and is not the end of a stream.
     fn admit(&mut self, message: &R::Message) -> bool {
         let header = message.header();
-        let (source, writer) = ends_of_trace(header);
+        let (source, writer) = (header.origin(), header.writer());
         if let Err(error) = self.reader.item().check(header, message.bytes()) {
             self.counts.malformed += 1;
             self.nonsense.warn(format_args!("left out a message of topic `{}`: {error}", self.counts.topic));
@@ -473,22 +474,11 @@ impl<R: Reader> InputPort<R> {
     /// Puts a message at the end, in place of an older one of the same source where only the newest is wanted.
     fn enqueue(&mut self, message: R::Message) {
         if self.delivery == Delivery::Latest {
-            let source = ends_of_trace(message.header()).0;
+            let source = message.header().origin();
             let before = self.pending.len();
-            self.pending.retain(|older| ends_of_trace(older.header()).0 != source);
+            self.pending.retain(|older| older.header().origin() != source);
             self.count_gap((before - self.pending.len()) as u64);
         }
         self.pending.push_back(message);
     }
-}
-
-fn is_from(header: &Header, writer: &Text<32>) -> bool {
-    ends_of_trace(header).1 == *writer
-}
-
-/// The stage that had the frame first, and the one that wrote this message.
-fn ends_of_trace(header: &Header) -> (Text<32>, Text<32>) {
-    let trace = header.trace();
-    let name = |hop: Option<&conicflow_messages::Hop>| hop.map(|hop| hop.stage).unwrap_or_default();
-    (name(trace.first()), name(trace.last()))
 }

@@ -118,6 +118,13 @@ fn with_causes(error: &(dyn Error + 'static)) -> String {
     text
 }
 
+impl RunError {
+    /// What is wrong with how a stage is joined, and what to do.
+    pub(crate) fn refused(what: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self::Refused(Hinted::new(what, hint).into())
+    }
+}
+
 impl<T: Transport> StageRuntime<T> {
     /// The end of the topic that the stage writes, if it is wired to one and makes anything.
     pub(crate) fn output_port(&mut self, item: &ItemType) -> Result<OutputPort<T::Writer>, PortError> {
@@ -151,7 +158,7 @@ impl<T: Transport> StageRuntime<T> {
         if let Some(missing) = same_frame.iter().find(|name| wired.iter().all(|(wired, _)| wired != *name)) {
             let what = format!("this stage has no `{missing}` among its `inputs` in the pipeline file");
             let hint = suggestion(missing, wired.iter().map(|(name, _)| name.as_str()), "further inputs");
-            return Err(RunError::Refused(Hinted::new(what, hint).into()));
+            return Err(RunError::refused(what, hint));
         }
         let open = |(name, topic): &(String, Topic)| {
             let pairing = if same_frame.contains(name) { Pairing::SameFrame } else { Pairing::Latest };

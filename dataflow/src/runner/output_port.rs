@@ -132,8 +132,7 @@ impl<W: Writer> OutputPort<W> {
         self.number += 1;
         self.bytes += (bytes.len() + size_of::<Header>()) as u64;
         self.last = *header;
-        let writer = header.trace().last().map(|hop| hop.stage).unwrap_or_default();
-        self.note_count(writer, header.number.saturating_add(1));
+        self.note_count(header.writer(), header.number.saturating_add(1));
         Ok(())
     }
 

@@ -8,7 +8,7 @@ use super::{RunError, StageRuntime};
 use crate::item_type::{AnyMessage, ItemType};
 use crate::ports::shared_memory::SharedMemory;
 use crate::stage::Context;
-use conicflow_messages::{AnyByte, Header, Hinted};
+use conicflow_messages::{AnyByte, Header};
 use serde_json::Value as Json;
 use std::time::{Duration, Instant};
 
@@ -32,17 +32,14 @@ impl PulledSource {
         parameters: Json,
         total: Option<u64>,
     ) -> Result<Option<Self>, RunError> {
-        let fault = |what: &str, hint: &str| RunError::Refused(Hinted::new(what, hint).into());
         if runtime.wiring.input.is_some() {
-            return Err(fault(
-                "this stage has an `input` in the pipeline file",
-                "let the program be a stage, not a source",
-            ));
+            let what = "this stage has an `input` in the pipeline file";
+            return Err(RunError::refused(what, "let the program be a stage, not a source"));
         }
-        let output = runtime.output_of_any()?;
-        let output =
-            output.ok_or_else(|| fault("this source has no `output` in the pipeline file", "name a topic there"))?;
-        runtime.context.output = Some(output);
+        runtime.context.output = runtime.output_of_any()?;
+        if runtime.context.output.is_none() {
+            return Err(RunError::refused("this source has no `output` in the pipeline file", "name a topic there"));
+        }
         let (side_inputs, output_port) =
             (runtime.side_inputs_of(&[])?, runtime.output_port(&ItemType::of::<AnyByte>())?);
         if !takes_place(&mut runtime)? {
@@ -98,8 +95,7 @@ impl PulledSource {
         self.is_over |= !place.send(header, making, None)?;
         let message = AnyMessage { header: &header, item: &item, bytes };
         message.each_label(|label| place.record.status.count_found(label));
-        place.output_port.tally(&mut place.record.status, header.sequence);
-        place.keep_counts();
+        place.keep_counts(header.sequence);
         Ok(())
     }
 

@@ -11,7 +11,7 @@ use crate::item_type::{AnyMessage, ItemType};
 use crate::ports::Received;
 use crate::ports::shared_memory::SharedMemory;
 use crate::stage::Context;
-use conicflow_messages::{AnyByte, Header, Hinted};
+use conicflow_messages::{AnyByte, Header};
 use serde_json::Value as Json;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -56,9 +56,10 @@ impl PulledStage {
         same_frame: &[String],
     ) -> Result<Option<Self>, RunError> {
         runtime.context.resume_at = runtime.record.status.steps.max(u64::from(runtime.successor.is_some()));
-        let none = "this stage has no `input` in the pipeline file";
-        let none = || RunError::Refused(Hinted::new(none, "give it one, or let the program be a source").into());
-        let topic = runtime.wiring.input.take().ok_or_else(none)?;
+        let topic = runtime.wiring.input.take().ok_or_else(|| {
+            let what = "this stage has no `input` in the pipeline file";
+            RunError::refused(what, "give it one, or let the program be a source")
+        })?;
         let item = item_of(&topic)?;
         let open = |runtime: &StageRuntime<SharedMemory>| {
             Ok((runtime.side_inputs_of(same_frame)?, open_input(runtime, &item, &topic)?))
@@ -133,7 +134,7 @@ impl PulledStage {
     /// # Errors
     /// There is no step, it has sent already, or there is no output, or its ports failed; items that no reader would take.
     pub fn send(&mut self, change: impl FnOnce(&mut Header), bytes: &[u8]) -> Result<(), RunError> {
-        let fault = |what: &str, hint: &str| RunError::Refused(Hinted::new(what, hint).into());
+        let fault = |what: &str, hint: &str| RunError::refused(what, hint);
         let Some(item) = self.place.output_port.item().cloned() else {
             return Err(fault(
                 "this stage has no `output` in the pipeline file",
@@ -173,9 +174,7 @@ impl PulledStage {
         }
         let Some(step) = self.step.take() else { return Ok(()) };
         self.place.keep_times(&step.header, step.received_ns, step.started.elapsed().saturating_sub(step.waited));
-        let place = &mut self.place;
-        place.output_port.tally(&mut place.record.status, step.header.sequence);
-        place.keep_counts();
+        self.place.keep_counts(step.header.sequence);
         Ok(())
     }
 

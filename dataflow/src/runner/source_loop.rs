@@ -155,8 +155,9 @@ impl<T: Transport> SourcePlace<T> {
         Ok(true)
     }
 
-    /// Keeps what was counted.
-    pub(crate) fn keep_counts(&mut self) {
+    /// Keeps what was counted when `frame` was made.
+    pub(crate) fn keep_counts(&mut self, frame: u64) {
+        self.output_port.tally(&mut self.record.status, frame);
         for (slot, side) in self.record.status.inputs.iter_mut().zip(&self.side_inputs) {
             *slot = side.counts();
         }
@@ -207,8 +208,7 @@ impl<T: Transport> SourceLoop<'_, T> {
                 false
             }
         };
-        place.output_port.tally(&mut place.record.status, header.sequence);
-        place.keep_counts();
+        place.keep_counts(header.sequence);
         self.memory_trim.step();
         Ok(goes_on)
     }

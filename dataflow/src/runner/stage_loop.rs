@@ -64,10 +64,9 @@ impl<T: Transport> StageLoop<'_, T> {
         drop(message);
         place.keep_times(&header, received_ns, started.elapsed());
         let stopped = is_stopped(place.output_port.send(made, received_ns, list))?;
-        place.output_port.tally(&mut place.record.status, header.sequence);
         let made = AnyMessage { header: &made, item: self.output, bytes: list.unwrap_or_default() };
         made.each_label(|label| place.record.status.count_found(label));
-        place.keep_counts();
+        place.keep_counts(header.sequence);
         self.memory_trim.step();
         Ok(!stopped)
     }

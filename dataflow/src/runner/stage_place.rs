@@ -185,10 +185,12 @@ impl<T: Transport> StagePlace<T> {
         }
     }
 
-    /// Counts a step, keeps what its inputs count, and says that its messages are finished. The record comes first: it says in
-    /// one piece what was worked on and what was sent, so that the next process does the rest again under the same number.
-    pub(crate) fn keep_counts(&mut self) {
+    /// Counts a step that met `frame`, keeps what it and its inputs count, and says that its messages are finished. The record
+    /// comes first: it says in one piece what was worked on and what was sent, so that the next process does the rest again under
+    /// the same number.
+    pub(crate) fn keep_counts(&mut self, frame: u64) {
         self.last_came = Instant::now();
+        self.output_port.tally(&mut self.record.status, frame);
         self.record.status.steps += 1;
         self.keep_inputs();
         self.side_inputs.iter_mut().for_each(|side| side.acknowledge());

@@ -18,7 +18,7 @@ const PATHS: u32 = 3;
 pub const LARGEST_WINDOW: u32 = (i16::MAX as u32 / PATHS - LARGEST_PENALTY as u32) / BRIGHTEST as u32;
 
 /// Greatest penalty of a step.
-pub const LARGEST_PENALTY: i16 = 2000;
+const LARGEST_PENALTY: i16 = 2000;
 
 /// Two images, row by row; the second one reaches farther to the left, as far as a shift may.
 #[derive(Clone, Debug, Default)]

@@ -1,7 +1,7 @@
 //! Sensors that are simulated and not only their noise: cameras that match blocks of images, and such that measure the time
 //! of flight.
 
-use super::matching_camera::{MatchingCamera, Stereo, StructuredLight};
+use super::matching_camera::{MatchingCamera, MatchingNumbers};
 use super::raster::Raster;
 use super::sensor;
 use super::shapes::Shape;
@@ -42,9 +42,9 @@ pub enum SensorKind {
 #[serde(rename_all = "snake_case")]
 pub enum SensorNumbers {
     /// Two eyes and a dot pattern.
-    Stereo(Stereo),
+    Stereo(MatchingNumbers),
     /// One eye and a dot pattern that it knows.
-    StructuredLight(StructuredLight),
+    StructuredLight(MatchingNumbers),
     /// Time of flight.
     TimeOfFlight(TimeOfFlight),
 }
@@ -52,8 +52,8 @@ pub enum SensorNumbers {
 impl SimulatedSensor {
     fn numbers(self) -> SensorNumbers {
         match self {
-            Self::Named(SensorKind::Stereo) => SensorNumbers::Stereo(Stereo::default()),
-            Self::Named(SensorKind::StructuredLight) => SensorNumbers::StructuredLight(StructuredLight::default()),
+            Self::Named(SensorKind::Stereo) => SensorNumbers::Stereo(MatchingNumbers::default()),
+            Self::Named(SensorKind::StructuredLight) => SensorNumbers::StructuredLight(MatchingNumbers::default()),
             Self::Named(SensorKind::TimeOfFlight) => SensorNumbers::TimeOfFlight(TimeOfFlight::default()),
             Self::Table(numbers) => numbers,
         }
@@ -62,8 +62,7 @@ impl SimulatedSensor {
     /// What cannot be used about it.
     pub fn fault(self) -> Option<ConfigFault> {
         let what = match self.numbers() {
-            SensorNumbers::Stereo(table) => table.fault(),
-            SensorNumbers::StructuredLight(table) => Stereo::from(table).fault(),
+            SensorNumbers::Stereo(numbers) | SensorNumbers::StructuredLight(numbers) => numbers.fault(),
             SensorNumbers::TimeOfFlight(_) => None,
         };
         let hint = "leave the numbers out, for the usual ones".into();
@@ -89,8 +88,10 @@ impl SensorSimulation {
     pub fn new(sensor: SimulatedSensor, camera: &Camera, depth_scale: f64, seed: u64) -> Self {
         let matching = |camera: MatchingCamera| Kind::Matching(Box::new(camera));
         let kind = match sensor.numbers() {
-            SensorNumbers::Stereo(table) => matching(MatchingCamera::stereo(table, camera, seed)),
-            SensorNumbers::StructuredLight(table) => matching(MatchingCamera::structured_light(table, camera, seed)),
+            SensorNumbers::Stereo(numbers) => matching(MatchingCamera::stereo(numbers, camera, seed)),
+            SensorNumbers::StructuredLight(numbers) => {
+                matching(MatchingCamera::structured_light(numbers, camera, seed))
+            }
             SensorNumbers::TimeOfFlight(table) => Kind::TimeOfFlight(TimeOfFlightCamera::new(table)),
         };
         Self { kind, units_per_metre: 1.0 / depth_scale }
