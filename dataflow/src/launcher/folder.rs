@@ -5,6 +5,7 @@ use crate::plan::{LAYOUT, Plan};
 use crate::ports::shared_memory::acknowledgements::ENDING as ACKNOWLEDGEMENTS;
 use crate::runner::peers::END;
 use crate::status::{Life, Status, StatusFile, status_path};
+use rustix::io::Errno;
 use serde::Deserialize;
 use std::fs::{self, File, TryLockError};
 use std::io;
@@ -31,7 +32,7 @@ const LOOK_GRACE: Duration = Duration::from_secs(5);
 #[derive(Debug, thiserror::Error)]
 pub enum FolderError {
     /// The folder could not be made, read or written.
-    #[error("{}: {error}\n  hint: set CONICFLOW_RUNTIME_DIR to a short path that this user may write to", path.display())]
+    #[error("{}: {error}\n  hint: {}", path.display(), hint_of(error))]
     Io {
         /// The file or folder.
         path: PathBuf,
@@ -130,6 +131,20 @@ impl Drop for RunLock {
     fn drop(&mut self) {
         // A process that another thread starts has a copy of the lock until it is another program.
         self.file.unlock().ok();
+    }
+}
+
+/// What to do where the system refuses a file or a folder.
+fn hint_of(error: &io::Error) -> &'static str {
+    match error.kind() {
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
+            "make room there, or set CONICFLOW_RUNTIME_DIR to a folder where there is some"
+        }
+        io::ErrorKind::FileTooLarge => "files may not become that long: `ulimit -f`, in a systemd unit `LimitFSIZE=`",
+        _ if matches!(Errno::from_io_error(error), Some(Errno::MFILE | Errno::NFILE)) => {
+            "no more files may be open: `ulimit -n`, in a systemd unit `LimitNOFILE=`"
+        }
+        _ => "set CONICFLOW_RUNTIME_DIR to a short path that this user may write to",
     }
 }
 
@@ -570,6 +585,20 @@ pub(super) mod tests {
             assert_eq!(user_folder_of(wanted, of_login), expected);
         }
         assert!(!user_folder().as_os_str().is_empty());
+    }
+
+    #[test]
+    fn what_the_system_refuses_is_told_with_what_to_do_about_that() {
+        for (errno, hint) in [
+            (Errno::NOSPC, "make room there"),
+            (Errno::DQUOT, "make room there"),
+            (Errno::FBIG, "`ulimit -f`"),
+            (Errno::MFILE, "`ulimit -n`"),
+            (Errno::ACCESS, "set CONICFLOW_RUNTIME_DIR to a short path"),
+        ] {
+            let told = FolderError::at(Path::new("/run"))(errno.into()).to_string();
+            assert!(told.split_once("\n  hint: ").unwrap().1.contains(hint), "{told}");
+        }
     }
 
     #[test]
