@@ -31,7 +31,7 @@ pub use summary::{StageSummary, Summary, link_table};
 use crate::hangup::{ending_signals, stopping_signal};
 use crate::plan::Plan;
 use crate::ports::PortError;
-use crate::ports::shared_memory::{ServiceKeeper, SharedMemory};
+use crate::ports::shared_memory::{Descriptors, ServiceKeeper, SharedMemory};
 use crate::preflight::{InsufficientResource, Requirements};
 use crate::stage::Stop;
 use child::{Change, RunState, Supervised};
@@ -100,8 +100,10 @@ pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
     SharedMemory::clean(folder.shared_memory())?;
     requirements.insufficient().into_iter().try_for_each(Err)?;
     folder.empty()?;
+    let for_stages = Descriptors::now();
     let memory = SharedMemory::open(folder.shared_memory(), &plan.namespace(), "launcher", Stop::default())?;
     let services = memory.kept_in(folder.path()).keep_services(plan.topics())?;
+    for_stages.keep_later_ones();
     // Whoever looks on from outside may come as soon as there is a plan.
     folder.begin(plan)?;
     let mut launcher = Launcher::new(plan.clone(), folder, options, signals);
