@@ -95,7 +95,7 @@ impl Side {
     }
 }
 
-fn header(writer: &str, number: u64) -> Header {
+pub fn header(writer: &str, number: u64) -> Header {
     let camera = Camera { width: 4, height: 3, fx: 5.0, fy: 5.0, cx: 2.0, cy: 1.0 };
     let mut header = Header { number, sequence: 100 + number, camera, depth_scale: 0.001, ..Header::default() };
     header.add_hop(Hop { stage: Text::new(writer), received_ns: monotonic_ns(), sent_ns: monotonic_ns() });

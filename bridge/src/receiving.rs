@@ -40,6 +40,8 @@ pub(super) struct Receiving<'a> {
     subscriber: Subscriber<'a>,
     output_port: OutputPort<SharedWriter>,
     sequence: Sequence,
+    /// How many an earlier process has counted as lost.
+    lost_before: u64,
     /// By writer, the number that follows its last message of the stream.
     follow: BTreeMap<String, u64>,
     passed_on: PassedOn,
@@ -91,6 +93,7 @@ impl<'a> Receiving<'a> {
             subscriber,
             output_port: OutputPort::new(port, BRIDGE, 0, shared.peers.clone(), shared.stop.clone()),
             sequence: Sequence::new(lossless, shared.links.seal().has_key()),
+            lost_before: counts.lost.load(Ordering::Relaxed),
             follow: BTreeMap::new(),
             passed_on: PassedOn::default(),
             codec: codec_of(&edge.item),
@@ -222,7 +225,7 @@ impl<'a> Receiving<'a> {
             follows: self.follow.get(&writer).is_none_or(|follow| *follow == header.number),
             may_be_repeated: header.ends_stream(),
         });
-        self.counts.lost.store(self.sequence.lost(), Ordering::Relaxed);
+        self.counts.lost.store(self.lost_before.saturating_add(self.sequence.lost()), Ordering::Relaxed);
         if verdict == Verdict::Take {
             match self.pass_on(header, bytes.len()) {
                 // It comes again where it must not be missed; there may be room by then.

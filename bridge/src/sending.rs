@@ -11,7 +11,7 @@ use crate::wire::{Place, WireError, message_bytes};
 use conicflow_dataflow::pipeline::BRIDGE;
 use conicflow_dataflow::ports::{Delivery, Received, Transport};
 use conicflow_dataflow::relay::{InputPort, Peers, SharedMemory, SharedReader, end_of_stream};
-use conicflow_dataflow::{Edge, Stop, monotonic_ns};
+use conicflow_dataflow::{Edge, InputCounts, Stop, monotonic_ns};
 use conicflow_messages::{Header, Text};
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -80,6 +80,8 @@ impl<'a> Sending<'a> {
         let publisher = shared.sessions.publisher(&zenoh_key, lossy && edge.item.is_short(), priority)?;
         let mut input_port = InputPort::new(reader, topic.delivery_to(BRIDGE), &topic.name, topic.writers.len());
         input_port.go_on();
+        // Where none may be missed it is the reader that knows how far an earlier process came.
+        input_port.resume(*counts.input());
         let log =
             shared.log_folder.map(|folder| SendLog::in_folder(folder.to_owned(), &topic.name)).unwrap_or_default();
         Ok(Self {
@@ -165,9 +167,9 @@ impl<'a> Sending<'a> {
         let taken = self.input_port.take()?;
         let is_lossless = self.edge.topic.delivery_to(BRIDGE) == Delivery::Lossless;
         let counts = self.input_port.counts();
-        // What makes no sense is left out there, and told.
-        self.counts.refused.store(counts.malformed, Ordering::Relaxed);
-        self.counts.overtaken.store(if is_lossless { 0 } else { counts.dropped }, Ordering::Relaxed);
+        // What makes no sense is left out there, and told. Where none may be missed nothing else is.
+        let all_sent = || InputCounts { topic: counts.topic, malformed: counts.malformed, ..InputCounts::default() };
+        *self.counts.input() = if is_lossless { all_sent() } else { counts };
         let Some(message) = taken else { return Ok(false) };
         let header = *message.header();
         let writer = header.writer().to_string();
@@ -274,13 +276,14 @@ fn loss(lost: u64, topic: &str) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::edge_tests::{Side, edge, wait_until};
+    use crate::edge_tests::{Side, edge, header, memory, wait_until};
     use crate::reliable::send_log::CAPACITY;
     use crate::session::tests::joined;
     use crate::wire::decode_message;
     use conicflow_dataflow::ItemType;
     use conicflow_dataflow::pipeline::Compression;
-    use conicflow_messages::Camera;
+    use conicflow_dataflow::ports::Writer;
+    use conicflow_messages::{Camera, Object};
 
     #[test]
     fn an_image_that_is_too_large_or_does_not_fill_its_size_is_left_out_and_counted_and_others_are_sent() {
@@ -316,6 +319,23 @@ mod tests {
             sending.queue.sent(&[], Instant::now());
         }
         assert!(!sending.may_send());
+    }
+
+    #[test]
+    fn where_the_newest_wins_what_was_sent_between_two_bridges_of_a_run_is_counted_as_dropped_and_missing() {
+        let folder = tempfile::tempdir().unwrap();
+        let robot = Side::new("robot", edge(Delivery::Latest, BRIDGE), folder.path(), None);
+        let ([sessions, _], peers) = (joined(|address| address), Peers::default());
+        let shared = robot.shared(&sessions, &peers);
+        let mut writer = memory(folder.path(), "writer").writer::<Object>(&robot.edge.topic).unwrap();
+        for number in [0, 3] {
+            let mut sending = Sending::new(&robot.edge, &shared, Arc::clone(&robot.counts)).unwrap();
+            writer.loan::<Object>(0).unwrap();
+            writer.send(&header("writer", number)).unwrap();
+            wait_until("it came", || sending.forward_next().unwrap());
+        }
+        let InputCounts { received, dropped, gaps, .. } = *robot.counts.input();
+        assert_eq!([received, dropped, gaps], [2, 2, 2]);
     }
 
     #[test]

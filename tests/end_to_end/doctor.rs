@@ -143,11 +143,11 @@ fn after(playground: &Playground, said: &str, arguments: &[&str]) -> Ended {
 fn a_run_that_would_need_more_open_files_than_it_may_have_does_not_begin() {
     let playground = Playground::with_pipeline(TRACKING);
     let ended = after(&playground, "ulimit -n 40", &["run", "--frames", "3"]).expect_code(2);
-    assert!(ended.stderr.starts_with("error: a process may have 40 files open, a stage of"), "{}", ended.stderr);
+    assert!(ended.stderr.starts_with("error: a process may have 40 files open, one of"), "{}", ended.stderr);
     ended.expect_told(&["\n  hint: `ulimit -n "]);
     // With these it cannot even look into shared memory.
     let ended = after(&playground, "ulimit -n 10", &["run", "--frames", "3"]).expect_code(2);
-    assert!(ended.stderr.starts_with("error: a process may have 10 files open, a stage of"), "{}", ended.stderr);
+    assert!(ended.stderr.starts_with("error: a process may have 10 files open, one of"), "{}", ended.stderr);
     let found = after(&playground, "ulimit -n 40", &["doctor"]).expect_code(1);
     assert!(found.stdout.contains("problem: a process may have 40 files open"), "{}", found.stdout);
 }

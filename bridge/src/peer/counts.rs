@@ -1,10 +1,10 @@
 //! What is counted of an edge while it carries messages.
 
-use conicflow_dataflow::EdgeReport;
 use conicflow_dataflow::relay::ThrottledWarning;
+use conicflow_dataflow::{EdgeReport, InputCounts};
 use std::fmt::Arguments;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Counts of one edge, written by its thread and read by another.
 #[derive(Debug, Default)]
@@ -15,30 +15,35 @@ pub(crate) struct EdgeCounts {
     pub lost: AtomicU64,
     pub resent: AtomicU64,
     pub stale: AtomicU64,
-    /// Not sent, where the newest wins: newer ones came before they could be, ...
-    pub overtaken: AtomicU64,
-    /// ... or nobody was there who wanted them.
+    /// Not sent, where the newest wins, because nobody was there who wanted them.
     pub unwanted: AtomicU64,
     /// Left out, because they make no sense, by what encodes or decodes them.
     pub malformed: AtomicU64,
-    /// And where they come out of shared memory.
-    pub refused: AtomicU64,
     pub age_ns: AtomicU64,
+    input: Mutex<InputCounts>,
 }
 
 impl EdgeCounts {
-    /// Counts that go on where an earlier bridge of the run left them, as far as it told.
-    pub(crate) fn after(earlier: &EdgeReport) -> Self {
-        let &EdgeReport { messages, wire_bytes, memory_bytes, resent, stale, malformed, .. } = earlier;
+    /// Counts that go on where an earlier bridge of the run left them, as far as it told, also in its record.
+    pub(crate) fn after(earlier: &EdgeReport, input: InputCounts) -> Self {
+        let &EdgeReport { messages, wire_bytes, memory_bytes, lost, resent, stale, malformed, .. } = earlier;
         Self {
             messages: messages.into(),
             wire_bytes: wire_bytes.into(),
             memory_bytes: memory_bytes.into(),
+            lost: lost.into(),
             resent: resent.into(),
             stale: stale.into(),
             malformed: malformed.into(),
+            // The report tells of these with the others.
+            input: InputCounts { malformed: 0, ..input }.into(),
             ..Self::default()
         }
+    }
+
+    /// What is counted of messages that leave as they come out of shared memory.
+    pub(crate) fn input(&self) -> MutexGuard<'_, InputCounts> {
+        self.input.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     pub(crate) fn add(counter: &AtomicU64, count: u64) {
@@ -61,7 +66,7 @@ impl EdgeCounts {
             lost: count(&self.lost),
             resent: count(&self.resent),
             stale: count(&self.stale),
-            malformed: count(&self.malformed) + count(&self.refused),
+            malformed: count(&self.malformed) + self.input().malformed,
             age_ms: count(&self.age_ns) as f64 / 1e6,
         }
     }
@@ -106,7 +111,7 @@ mod tests {
         let left_out = LeftOut::new(Arc::clone(&counts));
         (0..3).for_each(|_| left_out.add(format_args!("its image has no pixels")));
         assert_eq!(counts.report("depth", "out", &EdgeReport::default(), 1.0).malformed, 3);
-        counts.refused.store(2, Ordering::Relaxed);
+        counts.input().malformed = 2;
         assert_eq!(counts.report("depth", "out", &EdgeReport::default(), 1.0).malformed, 5);
     }
 }

@@ -3,7 +3,7 @@
 use super::counts::EdgeCounts;
 use super::links::{Links, PeerState};
 use conicflow_dataflow::relay::{StatusFile, read_links, write_links};
-use conicflow_dataflow::{BridgePlan, BridgeRun, Edge, EdgeReport, InputCounts, LinkReport, LinkState};
+use conicflow_dataflow::{BridgePlan, BridgeRun, Edge, EdgeReport, InputCounts, LinkReport, LinkState, NO_RUN, Status};
 use conicflow_messages::Text;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -19,14 +19,25 @@ pub(crate) struct EdgeHandle<'a> {
     reported: EdgeReport,
 }
 
-impl EdgeHandle<'_> {
-    fn reaches(&self, machine: &str) -> bool {
-        if self.outgoing { self.edge.delivery_to(machine).is_some() } else { self.edge.from == machine }
+impl<'a> EdgeHandle<'a> {
+    /// An edge whose counts go on where an earlier bridge of the run left them in its links and its record.
+    fn new(edge: &'a Edge, outgoing: bool, links: &[LinkReport], record: &Status) -> Self {
+        let mut links = links.iter().filter(|link| reaches(edge, outgoing, &link.machine));
+        let is_it = |report: &&EdgeReport| report.topic == edge.topic.name && report.direction == way(outgoing);
+        let reported = links.find_map(|link| link.edges.iter().find(is_it)).cloned().unwrap_or_default();
+        let is_its_input = |input: &&InputCounts| outgoing && input.topic == Text::new(&edge.topic.name);
+        let input = record.used_inputs().find(is_its_input).copied().unwrap_or_default();
+        Self { edge, outgoing, counts: Arc::new(EdgeCounts::after(&reported, input)), reported }
     }
 
     fn report(&mut self, seconds: f64) {
         self.reported = self.counts.report(&self.edge.topic.name, way(self.outgoing), &self.reported, seconds);
     }
+}
+
+/// Whether an edge leads to or from a machine.
+fn reaches(edge: &Edge, outgoing: bool, machine: &str) -> bool {
+    if outgoing { edge.delivery_to(machine).is_some() } else { edge.from == machine }
 }
 
 /// The word for the direction of an edge.
@@ -45,15 +56,11 @@ pub(crate) struct BridgeReporter<'a> {
 
 impl<'a> BridgeReporter<'a> {
     pub(crate) fn new(bridge: &'a BridgePlan, run: BridgeRun<'a>, record: StatusFile, links: &'a Links) -> Self {
-        let links_before = read_links(run.folder, run.run);
-        let reports: Vec<_> = links_before.into_iter().flat_map(|link| link.edges).collect();
-        let handle = |edge: &'a Edge, outgoing| {
-            let is_it = |report: &&EdgeReport| report.topic == edge.topic.name && report.direction == way(outgoing);
-            let reported = reports.iter().find(is_it).cloned().unwrap_or_default();
-            EdgeHandle { edge, outgoing, counts: Arc::new(EdgeCounts::after(&reported)), reported }
-        };
+        // Bridges that were started by themselves have no run in common.
+        let before = if run.run == NO_RUN { Vec::new() } else { read_links(run.folder, run.run) };
+        let handle = |edge, outgoing| EdgeHandle::new(edge, outgoing, &before, &record.status);
         let outgoing = bridge.outgoing.iter().map(|edge| handle(edge, true));
-        let edges = outgoing.chain(bridge.incoming.iter().map(|edge| handle(edge, false))).collect();
+        let edges: Vec<_> = outgoing.chain(bridge.incoming.iter().map(|edge| handle(edge, false))).collect();
         Self { run, record, links, edges, reported: Instant::now() }
     }
 
@@ -81,7 +88,7 @@ impl<'a> BridgeReporter<'a> {
             PeerState { was_heard: true, .. } => LinkState::Down,
             _ => LinkState::Never,
         };
-        let edges = self.edges.iter().filter(|edge| edge.reaches(machine));
+        let edges = self.edges.iter().filter(|handle| reaches(handle.edge, handle.outgoing, machine));
         LinkReport {
             machine: machine.to_owned(),
             state,
@@ -104,10 +111,10 @@ impl<'a> BridgeReporter<'a> {
         status.sent_bytes = count(false, |counts| &counts.memory_bytes);
         let outgoing = self.edges.iter().filter(|edge| edge.outgoing);
         for (slot, handle) in status.inputs.iter_mut().zip(outgoing) {
-            let EdgeCounts { messages, overtaken, unwanted, .. } = &*handle.counts;
-            let [received, overtaken, unwanted] = [messages, overtaken, unwanted].map(|it| it.load(Ordering::Relaxed));
-            let (topic, dropped) = (Text::new(&handle.edge.topic.name), overtaken.saturating_add(unwanted));
-            *slot = InputCounts { topic, received, dropped, ..InputCounts::default() };
+            let (input, unwanted) = (*handle.counts.input(), handle.counts.unwanted.load(Ordering::Relaxed));
+            let (topic, dropped) = (Text::new(&handle.edge.topic.name), input.dropped.saturating_add(unwanted));
+            let EdgeReport { messages: received, malformed, .. } = handle.reported;
+            *slot = InputCounts { topic, received, dropped, malformed, ..input };
         }
         self.record.write();
     }
@@ -202,7 +209,7 @@ mod tests {
         let mut reporter = reporter(&plan, folder.path(), &links);
         EdgeCounts::add(&reporter.edges[0].counts.messages, 3);
         EdgeCounts::add(&reporter.edges[1].counts.messages, 5);
-        EdgeCounts::add(&reporter.edges[0].counts.overtaken, 20);
+        reporter.edges[0].counts.input().dropped = 20;
         EdgeCounts::add(&reporter.edges[0].counts.unwanted, 100);
         reporter.report(true);
         let status = &reporter.record.status;
@@ -210,5 +217,39 @@ mod tests {
         let inputs: Vec<_> =
             status.used_inputs().map(|input| (input.topic.to_string(), input.received, input.dropped)).collect();
         assert_eq!(inputs, [("objects".to_owned(), 3, 120)]);
+    }
+
+    #[test]
+    fn the_next_bridge_of_the_run_goes_on_with_all_counts_of_each_edge_and_that_of_another_run_with_none() {
+        let from = |machine: &str| Edge { from: machine.to_owned(), ..edge("base", "tracks") };
+        let (folder, plan) =
+            (tempfile::tempdir().unwrap(), plan(vec![edge("robot", "objects")], vec![from("arm"), from("robot")]));
+        let links = links(&plan);
+        let mut first = reporter(&plan, folder.path(), &links);
+        for (index, handle) in first.edges.iter().enumerate() {
+            let EdgeCounts { messages, lost, stale, malformed, unwanted, .. } = &*handle.counts;
+            let counters = [messages, lost, stale, malformed, unwanted];
+            (1..).zip(counters).for_each(|(nth, counter)| EdgeCounts::add(counter, 10 * index as u64 + nth));
+        }
+        let counted = InputCounts { dropped: 20, gaps: 21, late: 22, malformed: 23, ..InputCounts::default() };
+        *first.edges[0].counts.input() = counted;
+        let told = |reporter: &mut BridgeReporter<'_>| {
+            reporter.report(true);
+            let [input, ..] = reporter.record.status.inputs;
+            let report = |EdgeReport { messages, lost, stale, malformed, .. }: &EdgeReport| {
+                [*messages, *lost, *stale, *malformed]
+            };
+            let reports: Vec<_> = reporter.edges.iter().map(|handle| report(&handle.reported)).collect();
+            (reports, [input.received, input.dropped, input.gaps, input.late, input.malformed])
+        };
+        let before = told(&mut first);
+        let expected = (vec![[1, 2, 3, 4 + 23], [11, 12, 13, 14], [21, 22, 23, 24]], [1, 20 + 5, 21, 22, 4 + 23]);
+        assert_eq!(before, expected);
+        for _ in 0..2 {
+            assert_eq!(told(&mut reporter(&plan, folder.path(), &links)), before);
+        }
+        let record = StatusFile::open(&folder.path().join("bridge.status"), 8).unwrap();
+        let run = BridgeRun { pipeline: "tracking", run: 8, folder: folder.path() };
+        assert_eq!(told(&mut BridgeReporter::new(&plan, run, record, &links)), (vec![[0; 4]; 3], [0; 5]));
     }
 }

@@ -32,7 +32,6 @@ pub(crate) struct RetransmitQueue {
     outage: Duration,
     progress: Instant,
     resend_after: Duration,
-    lost: u64,
     overstated: bool,
 }
 
@@ -100,7 +99,6 @@ impl RetransmitQueue {
             outage,
             progress: now,
             resend_after: RESEND_AFTER,
-            lost: 0,
             overstated: false,
         }
     }
@@ -112,7 +110,7 @@ impl RetransmitQueue {
             (remote.expected, remote.finished, remote.ended.clone(), remote.heard.is_some(), remote.is_done)
         };
         let ends: Vec<_> = self.ends.iter().map(|end| end.number).collect();
-        (self.stream, self.next, ends, self.receivers.iter().map(known).collect::<Vec<_>>(), self.lost)
+        (self.stream, self.next, ends, self.receivers.iter().map(known).collect::<Vec<_>>(), self.lost())
     }
 
     /// The messages that lie in its log.
@@ -131,9 +129,9 @@ impl RetransmitQueue {
         self.receivers.iter().filter(|remote| !remote.is_done)
     }
 
-    /// Messages that a lossless receiver will not get.
+    /// Messages that a lossless receiver will not get, with those that an earlier process of this bridge has given up.
     pub(crate) fn lost(&self) -> u64 {
-        self.lost
+        self.log.lost()
     }
 
     /// Whether more was acknowledged than was sent, since this was asked last; of each such acknowledgement it is told once.
@@ -239,10 +237,11 @@ impl RetransmitQueue {
         let waited_for = lossless().filter(|remote| !remote.is_gone(now, self.outage)).map(|remote| remote.finished);
         let needed = waited_for.min().unwrap_or(self.next);
         let given_up: Vec<u64> = lossless().map(|remote| remote.expected).collect();
-        while self.log.oldest().is_some_and(|number| number < needed) {
-            let Some(number) = self.log.forget_first() else { break };
+        while let Some(number) = self.log.oldest().filter(|number| *number < needed) {
             let is_end = self.ends.iter().any(|end| end.number == number);
-            self.lost += u64::from(!is_end && given_up.iter().any(|next| number >= *next));
+            // Before it is forgotten: who is killed in between counts one too many rather than one too few.
+            self.log.lose(u64::from(!is_end && given_up.iter().any(|next| number >= *next)));
+            self.log.forget_first();
         }
     }
 
@@ -460,6 +459,22 @@ mod tests {
         assert_eq!(left(), 1);
         queue.close();
         assert_eq!(left(), 0);
+    }
+
+    #[test]
+    fn what_was_given_up_is_lost_in_the_next_process_too_whether_or_not_the_edge_has_ended() {
+        let (folder, start) = (tempfile::tempdir().unwrap(), Instant::now());
+        let receiver = Receiver { machine: "base".to_owned(), delivery: Delivery::Lossless };
+        let open = || {
+            let log = SendLog::in_folder(folder.path().to_owned(), "objects");
+            RetransmitQueue::new(1, log, std::slice::from_ref(&receiver), [WAIT, OUTAGE], start)
+        };
+        let mut queue = open();
+        (0..3).for_each(|_| queue.sent(&[0; 40], start));
+        queue.acknowledge("base", Some(&ack(1, &[])), Some(start), start + OUTAGE + Duration::from_millis(1));
+        assert_eq!((open().lost(), open().lost_if_it_ends()), (2, 2));
+        queue.close();
+        assert_eq!(open().lost(), 2);
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! The messages of a lossless edge that were sent and are not yet acknowledged. They also lie in files of the run's folder, so
-//! that the process that takes the place of a killed one sends them again; each message is there before it goes out.
+//! that the process that takes the place of a killed one sends them again; each message is there before it goes out. So does how many
+//! were given up, which decides the exit code of the run.
 
 use crate::wire::{Place, place_of};
 use std::collections::VecDeque;
@@ -19,6 +20,7 @@ const LENGTH: usize = size_of::<u64>();
 #[derive(Default)]
 pub(crate) struct SendLog {
     messages: VecDeque<(u64, Vec<u8>)>,
+    lost: u64,
     files: Option<Files>,
 }
 
@@ -31,14 +33,14 @@ impl SendLog {
         found.retain(|(place, _)| Some(place.stream) == stream);
         found.sort_by_key(|(place, _)| place.number);
         let messages = found.into_iter().map(|(place, bytes)| (place.number, bytes)).collect();
-        Self { messages, files: Some(files) }
+        Self { messages, lost: files.lost(), files: Some(files) }
     }
 
     /// A log with these messages, in memory alone.
     #[cfg(test)]
     pub(super) fn of(messages: &[Vec<u8>]) -> Self {
         let place = |bytes: &Vec<u8>| Some((place_of(bytes).ok()?.number, bytes.clone()));
-        Self { messages: messages.iter().filter_map(place).collect(), files: None }
+        Self { messages: messages.iter().filter_map(place).collect(), ..Self::default() }
     }
 
     /// The place of the last message.
@@ -77,7 +79,21 @@ impl SendLog {
         Some(number)
     }
 
-    /// Removes the files: nobody comes after this process.
+    /// How many messages were given up, in all.
+    pub(crate) fn lost(&self) -> u64 {
+        self.lost
+    }
+
+    /// Counts messages that are given up.
+    pub(crate) fn lose(&mut self, count: u64) {
+        self.lost += count;
+        let lost = self.lost;
+        if count > 0 {
+            self.with_files(|files| files.note_lost(lost));
+        }
+    }
+
+    /// Removes the files of messages: nobody sends them again after this process.
     pub(crate) fn remove_files(&mut self) {
         if let Some(files) = self.files.take() {
             (0..CAPACITY as u64).for_each(|slot| drop(std::fs::remove_file(files.path(slot))));
@@ -96,7 +112,7 @@ impl SendLog {
 #[cfg(test)]
 impl Clone for SendLog {
     fn clone(&self) -> Self {
-        Self { messages: self.messages.clone(), files: None }
+        Self { messages: self.messages.clone(), lost: self.lost, files: None }
     }
 }
 
@@ -110,6 +126,22 @@ struct Files {
 impl Files {
     fn path(&self, number: u64) -> PathBuf {
         self.folder.join(format!("bridge.{}.{}.kept", self.topic, number % CAPACITY as u64))
+    }
+
+    fn path_of_lost(&self) -> PathBuf {
+        self.folder.join(format!("bridge.{}.lost.kept", self.topic))
+    }
+
+    /// How many messages an earlier process has given up.
+    fn lost(&self) -> u64 {
+        let noted = std::fs::read(self.path_of_lost()).ok();
+        noted.and_then(|bytes| bytes.try_into().ok()).map_or(0, u64::from_le_bytes)
+    }
+
+    /// In one write, so that a process that is killed meanwhile leaves what it noted before.
+    fn note_lost(&self, lost: u64) -> io::Result<()> {
+        let file = File::options().write(true).create(true).truncate(false).open(self.path_of_lost())?;
+        file.write_all_at(&lost.to_le_bytes(), 0)
     }
 
     /// The message in a file; nothing if it is not whole.
@@ -169,6 +201,18 @@ mod tests {
         assert!(log.since(63).eq((63..70).map(message).collect::<Vec<_>>().iter()));
         log.remove_files();
         assert_eq!(folder.path().read_dir().unwrap().count(), 0);
+    }
+
+    #[test]
+    fn the_next_process_knows_how_many_were_given_up_also_when_nothing_is_kept_any_more() {
+        let folder = tempfile::tempdir().unwrap();
+        let open = || SendLog::in_folder(folder.path().to_owned(), "cameras/front");
+        for lost in [0, 2, 5] {
+            let mut log = open();
+            log.lose(lost - log.lost());
+            log.remove_files();
+            assert_eq!(open().lost(), lost);
+        }
     }
 
     #[test]

@@ -78,6 +78,12 @@ pub(crate) struct Supervised {
     deaths: VecDeque<Instant>,
     /// The process of which was said already that it has not joined the run.
     outsider: Option<u32>,
+    /// Whether was said already how a program joins.
+    is_hinted: bool,
+    /// The process that was seen at work, since the last start.
+    at_work: Option<u32>,
+    /// How many processes were seen at work, or were started after one that was.
+    turns: u64,
     /// Whether was said already that the run waits for this stage, which has not joined it, although all that write for it have
     /// ended.
     is_last: bool,
@@ -96,12 +102,29 @@ impl Supervised {
         })?;
         let watchdog = Watchdog::new(0, Instant::now());
         let (state, deaths, started) = (State::Running(process), VecDeque::new(), Instant::now());
-        Ok(Self { planned, state, watchdog, deaths, outsider: None, is_last: false, started, is_late: false })
+        Ok(Self {
+            planned,
+            state,
+            watchdog,
+            deaths,
+            outsider: None,
+            is_hinted: false,
+            at_work: None,
+            turns: 0,
+            is_last: false,
+            started,
+            is_late: false,
+        })
     }
 
     /// Its process, if there is one.
     pub(crate) fn process(&self) -> Option<u32> {
         if let State::Running(process) = &self.state { Some(process.child.id()) } else { None }
+    }
+
+    /// How far its processes have brought it: how many came to work, or were started after one that had.
+    pub(crate) fn turns(&self) -> u64 {
+        self.turns
     }
 
     /// Its process, if that has ended; what follows from it is for the one who asks, or for the next look.
@@ -203,6 +226,7 @@ impl Supervised {
         match Guarded::start(&mut command(&self.planned, run.plan, run.options), &self.planned) {
             Ok(process) => {
                 (self.state, self.started) = (State::Running(process), Instant::now());
+                self.turns += u64::from(self.at_work.take().is_some());
                 Change::None
             }
             Err(error) => self.died(&format!("cannot be started ({error})"), run),
@@ -220,6 +244,9 @@ impl Supervised {
         if self.outsider.take_if(|outsider| *outsider == process).is_some() {
             let seconds = self.started.elapsed().as_secs_f64();
             tracing::info!("stage `{}` has joined the run, {seconds:.1} s after its start", self.planned.name);
+        }
+        if self.at_work != Some(process) && own.as_ref().is_some_and(|own| own.life() != Life::Starting) {
+            (self.at_work, self.turns) = (Some(process), self.turns + 1);
         }
         let limit = self.planned.hang_s.map(Duration::from_secs_f64);
         let steps = own.as_ref().map_or(0, |status| status.steps);
@@ -248,10 +275,9 @@ impl Supervised {
                 format!(", and topic `{topic}` waits for it: the run ends if it has not {limit_s} s after its start")
             });
             let waits = waits.unwrap_or_default();
-            tracing::warn!(
-                "stage `{name}` has not joined the run: `{command}` has no part in it{waits}\n  hint: {HOW_TO_JOIN}"
-            );
-            self.outsider = Some(process);
+            let hint = if self.is_hinted { String::new() } else { format!("\n  hint: {HOW_TO_JOIN}") };
+            tracing::warn!("stage `{name}` has not joined the run: `{command}` has no part in it{waits}{hint}");
+            (self.outsider, self.is_hinted) = (Some(process), true);
         } else if waited > Duration::from_secs_f64(limit_s) && (topic.is_some() || is_last) {
             let waits = topic.map(|topic| {
                 format!("`{command}` takes no part in topic `{topic}`, which is lossless and waits for it")

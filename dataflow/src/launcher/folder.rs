@@ -6,6 +6,7 @@ use crate::plan::{LAYOUT, Plan};
 use crate::ports::shared_memory::acknowledgements::ENDING as ACKNOWLEDGEMENTS;
 use crate::runner::peers::END;
 use crate::status::{Life, Status, StatusFile, status_path};
+use rustix::io::Errno;
 use serde::Deserialize;
 use std::fs::{self, File, TryLockError};
 use std::io;
@@ -32,7 +33,7 @@ const LOOK_GRACE: Duration = Duration::from_secs(5);
 #[derive(Debug, thiserror::Error)]
 pub enum FolderError {
     /// The folder could not be made, read or written.
-    #[error("{}: {error}\n  hint: set CONICFLOW_RUNTIME_DIR to a short path that this user may write to", path.display())]
+    #[error("{}: {error}\n  hint: {}", path.display(), hint_of(error))]
     Io {
         /// The file or folder.
         path: PathBuf,
@@ -124,6 +125,20 @@ impl RunLock {
     pub(crate) fn is_there(&self) -> bool {
         let is_linked = self.file.0.metadata().is_ok_and(|about| about.nlink() > 0);
         is_linked && self.plan.exists()
+    }
+}
+
+/// What to do where the system refuses a file or a folder.
+fn hint_of(error: &io::Error) -> &'static str {
+    match error.kind() {
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
+            "make room there, or set CONICFLOW_RUNTIME_DIR to a folder where there is some"
+        }
+        io::ErrorKind::FileTooLarge => "files may not become that long: `ulimit -f`, in a systemd unit `LimitFSIZE=`",
+        _ if matches!(Errno::from_io_error(error), Some(Errno::MFILE | Errno::NFILE)) => {
+            "no more files may be open: `ulimit -n`, in a systemd unit `LimitNOFILE=`"
+        }
+        _ => "set CONICFLOW_RUNTIME_DIR to a short path that this user may write to",
     }
 }
 
@@ -554,6 +569,20 @@ pub(super) mod tests {
             assert_eq!(user_folder_of(wanted, of_login), expected);
         }
         assert!(!user_folder().as_os_str().is_empty());
+    }
+
+    #[test]
+    fn what_the_system_refuses_is_told_with_what_to_do_about_that() {
+        for (errno, hint) in [
+            (Errno::NOSPC, "make room there"),
+            (Errno::DQUOT, "make room there"),
+            (Errno::FBIG, "`ulimit -f`"),
+            (Errno::MFILE, "`ulimit -n`"),
+            (Errno::ACCESS, "set CONICFLOW_RUNTIME_DIR to a short path"),
+        ] {
+            let told = FolderError::at(Path::new("/run"))(errno.into()).to_string();
+            assert!(told.split_once("\n  hint: ").unwrap().1.contains(hint), "{told}");
+        }
     }
 
     #[test]

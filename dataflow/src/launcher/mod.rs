@@ -31,7 +31,7 @@ pub use summary::{StageSummary, Summary, link_table};
 use crate::hangup::{ending_signals, stopping_signal};
 use crate::plan::Plan;
 use crate::ports::PortError;
-use crate::ports::shared_memory::{ServiceKeeper, SharedMemory};
+use crate::ports::shared_memory::{Descriptors, ServiceKeeper, SharedMemory};
 use crate::preflight::{InsufficientResource, Requirements};
 use crate::stage::Stop;
 use child::{Change, RunState, Supervised};
@@ -100,8 +100,10 @@ pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
     SharedMemory::clean(folder.shared_memory())?;
     requirements.insufficient().into_iter().try_for_each(Err)?;
     folder.empty()?;
+    let for_stages = Descriptors::now();
     let memory = SharedMemory::open(folder.shared_memory(), &plan.namespace(), "launcher", Stop::default())?;
     let services = memory.kept_in(folder.path()).keep_services(plan.topics())?;
+    for_stages.keep_later_ones();
     // Whoever looks on from outside may come as soon as there is a plan.
     folder.begin(plan)?;
     let mut launcher = Launcher::new(plan.clone(), folder, options, signals);
@@ -363,11 +365,11 @@ impl<'a> Launcher<'a> {
         self.stages.iter_mut().for_each(Supervised::kill);
     }
 
-    /// How far the delivery is: messages that have been worked on, stages that are over, and those that were started anew and are
-    /// at work by now, which may have to wait for others as the ones before them had.
+    /// How far the delivery is: messages that have been worked on, stages that are over, and processes that came to work or took
+    /// the place of one that had, as they may have to wait for others as that one had.
     fn delivered(&self) -> u64 {
-        let (summary, over) = (self.summary(), self.stages.iter().filter(|stage| stage.is_over()));
-        summary.worked_on() + summary.restarts() + summary.joined() + over.count() as u64
+        let of_stage = |stage: &Supervised| stage.turns() + u64::from(stage.is_over());
+        self.summary().worked_on() + self.stages.iter().map(of_stage).sum::<u64>()
     }
 
     fn summary(&self) -> Summary {
@@ -433,12 +435,19 @@ mod tests {
         let (files, options) = (tempfile::tempdir().unwrap(), RunOptions::default());
         let mut launcher = launcher(files.path(), &options, Phase::Running);
         assert_eq!(launcher.delivered(), 3 + 4 + 1);
-        change_record(&launcher.folder, "first", |status| (status.steps, status.starts) = (2, 2));
-        assert_eq!(launcher.delivered(), 2 + 4 + 1 + 1, "who waits for what does not come again has the time for it");
+        let process = launcher.stages[0].process().unwrap();
+        for starts in [2, 3] {
+            change_record(&launcher.folder, "first", |status| (status.process, status.starts) = (process, starts));
+            launcher.look_at_stages();
+            assert_eq!(launcher.delivered(), 3 + 4 + 1, "it has not come to work");
+        }
         change_record(&launcher.folder, "first", |status| status.set_life(Life::Running));
-        assert_eq!(launcher.delivered(), 2 + 4 + 1 + 1 + 1, "from when it is at work on, however long that has taken");
+        for _ in 0..2 {
+            launcher.look_at_stages();
+            assert_eq!(launcher.delivered(), 3 + 4 + 1 + 1, "from when it is at work on, however long that has taken");
+        }
         launcher.kill_all();
-        assert_eq!(launcher.delivered(), 2 + 4 + 2 + 1 + 1);
+        assert_eq!(launcher.delivered(), 3 + 4 + 2 + 1);
     }
 
     #[test]

@@ -86,7 +86,8 @@ impl RunFolder {
         let (path, draft) = (self.path().join(name), self.path().join(format!("{name}.new")));
         let text =
             serde_json::to_vec_pretty(content).map_err(|error| FolderError::Plan { path: path.clone(), error })?;
-        fs::write(&draft, text).and_then(|()| fs::rename(&draft, &path)).map_err(FolderError::at(&path))
+        let written = fs::write(&draft, text).and_then(|()| fs::rename(&draft, &path));
+        written.inspect_err(|_| drop(fs::remove_file(&draft))).map_err(FolderError::at(&path))
     }
 }
 
@@ -96,6 +97,16 @@ mod tests {
     use super::super::trial_run::plan_of;
     use super::*;
     use std::time::Instant;
+
+    #[test]
+    fn what_cannot_be_written_leaves_no_part_of_it() {
+        let files = tempfile::tempdir().unwrap();
+        let (folder, path) = (folder_at(files.path()), files.path().join("swap.request"));
+        fs::create_dir(&path).unwrap();
+        assert!(matches!(folder.write_whole("swap.request", &1), Err(FolderError::Io { .. })));
+        let left: Vec<_> = fs::read_dir(files.path()).unwrap().map(|entry| entry.unwrap().path()).collect();
+        assert_eq!(left, [path]);
+    }
 
     #[test]
     fn who_asks_for_a_swap_is_told_what_became_of_it() {

@@ -210,11 +210,6 @@ impl Summary {
         self.statuses().map(|(_, status)| status.starts.saturating_sub(1)).sum()
     }
 
-    /// How many stages are no longer starting.
-    pub fn joined(&self) -> u64 {
-        self.statuses().filter(|(_, status)| status.life() != Life::Starting).count() as u64
-    }
-
     /// Objects found so far.
     pub fn objects(&self) -> u64 {
         let writers = self.statuses().filter(|(planned, _)| !planned.is_sink());

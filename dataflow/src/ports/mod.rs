@@ -221,7 +221,7 @@ pub enum PortError {
     /// Shared memory failed.
     #[error(
         "{doing}: {reason}\n  hint: is there room in /dev/shm, may this user write to `{}`, and are there file \
-         descriptors left?{}", root.display(), of_address_space()
+         descriptors left?{}", root.display(), of_limits(|resource| getrlimit(resource).current)
     )]
     SharedMemory {
         /// What was being done.
@@ -245,10 +245,13 @@ fn in_quotes(path: &Path) -> String {
     unusable.iter().map(|c| format!("`{}`", c.escape_debug())).collect::<Vec<_>>().join(", ")
 }
 
-/// What is to be asked, too, where a process may not take as much memory as it likes: shared memory counts.
-fn of_address_space() -> String {
-    let limit = getrlimit(Resource::As).current;
-    limit.map_or(String::new(), |bytes| format!(" `ulimit -v` lets a process have {} in all", in_words(bytes)))
+/// What is to be asked, too, where a process may not take as much memory as it likes, or make a file as long as it likes: shared
+/// memory counts as both.
+fn of_limits(limit: impl Fn(Resource) -> Option<u64>) -> String {
+    let memory =
+        limit(Resource::As).map(|bytes| format!(" `ulimit -v` lets a process have {} in all", in_words(bytes)));
+    let file = limit(Resource::Fsize).map(|bytes| format!(" `ulimit -f` lets a file have {}", in_words(bytes)));
+    memory.into_iter().chain(file).collect::<Vec<_>>().join(",")
 }
 
 impl PortError {
@@ -429,6 +432,19 @@ mod tests {
         assert_eq!(objects.expect_item().map(ItemType::name), Ok(Object::NAME));
         let told = untold.expect_item().unwrap_err().what;
         assert_eq!((told.as_str(), untold.kind()), ("nothing tells what topic `things` carries", None));
+    }
+
+    #[test]
+    fn limits_that_keep_shared_memory_from_being_made_are_named_where_they_are_set() {
+        let told = |memory: Option<u64>, file: Option<u64>| {
+            of_limits(|resource| if resource == Resource::Fsize { file } else { memory })
+        };
+        assert_eq!(told(None, None), "");
+        assert_eq!(told(None, Some(64 << 10)), " `ulimit -f` lets a file have 65.5 kB");
+        assert_eq!(
+            told(Some(3_000_000_000), Some(2_000_000)),
+            " `ulimit -v` lets a process have 3.0 GB in all, `ulimit -f` lets a file have 2.0 MB"
+        );
     }
 
     #[test]

@@ -46,15 +46,15 @@ pub enum InsufficientResource {
         /// Bytes that it takes at most.
         needed: u64,
     },
-    /// A stage would not get the files that it has to open.
+    /// A stage or the launcher would not get the files that it has to open.
     #[error(
-        "a process may have {limit} files open, a stage of this pipeline needs up to {needed}\n  \
+        "a process may have {limit} files open, one of this pipeline needs up to {needed}\n  \
          hint: `ulimit -n {needed}` in the shell before it is started; in a systemd unit `LimitNOFILE={needed}`"
     )]
     OpenFiles {
         /// How many a process may have.
         limit: u64,
-        /// How many a stage has at most.
+        /// How many a stage or the launcher has at most.
         needed: u64,
     },
 }
@@ -70,7 +70,7 @@ impl Requirements {
         room.into_iter().chain(files).collect()
     }
 
-    /// Whether its stages may have fewer files open than they need.
+    /// Whether its processes may have fewer files open than they need.
     pub(crate) fn short_of_files(&self) -> Option<InsufficientResource> {
         let limit = getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX);
         (limit < self.open_files).then_some(InsufficientResource::OpenFiles { limit, needed: self.open_files })

@@ -9,22 +9,30 @@ mod insufficient;
 pub use insufficient::InsufficientResource;
 
 use crate::item_type::ItemType;
+use crate::network::Edge;
 use crate::node::Node;
 use crate::plan::{Plan, PlannedStage, Runs};
 use crate::ports::capacity::{HELD, LOANED, ROOM_PER_PORT, message_bytes, taken};
-use crate::ports::{MAX_KEPT, Topic, TopicReader};
+use crate::ports::{Delivery, MAX_KEPT, Topic, TopicReader};
 use crate::side_inputs::{Pairing, SideInput};
 use insufficient::enough;
+use std::collections::BTreeSet;
 
 /// Messages that a reader holds of a side input that waits for its frame: those that are kept, and the one in use.
 const HELD_FOR_FRAME: usize = MAX_KEPT + 1;
-/// Open files of a stage that is joined to nothing.
-const FILES_PER_STAGE: u64 = 24;
-/// Open files for each topic that a stage is joined to, and for each stage at its other end.
-const FILES_PER_TOPIC: u64 = 14;
-const FILES_PER_PEER: u64 = 4;
-/// Open files of the network part, beside those for each machine that it talks with.
+/// Open files of a stage that is joined to nothing: 16, and some of its own.
+const FILES_PER_STAGE: u64 = 24; // [measured]
+/// Open files for each topic that a stage is joined to, 6 and those for four onlookers, and for each stage at its other end.
+const FILES_PER_TOPIC: u64 = 18; // [measured]
+const FILES_PER_PEER: u64 = 3; // [measured]
+/// Open files of the network part, beside those for each machine that it talks with, ...
 const FILES_OF_NETWORK: u64 = 64;
+/// ... and those in which it keeps messages of an edge until they are acknowledged.
+const FILES_PER_LOSSLESS_EDGE: u64 = 64; // [derived]
+/// Open files of a launcher without topics: 13, and those that it looks into. For each topic it has three services open, each in
+/// two files, and it holds a program of one's own by one.
+const FILES_OF_LAUNCHER: u64 = 24; // [measured]
+const FILES_PER_KEPT_TOPIC: u64 = 6; // [measured]
 
 /// What a plan needs of the machine that it runs on.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -64,7 +72,9 @@ impl Requirements {
                 }
             }
         }
-        Self { topics, open_files: plan.stages.iter().map(open_files).max().unwrap_or(0) }
+        let kept: BTreeSet<_> = plan.topics().map(|topic| &topic.name).collect();
+        let of_launcher = FILES_OF_LAUNCHER + FILES_PER_KEPT_TOPIC * kept.len() as u64 + plan.stages.len() as u64;
+        Self { topics, open_files: plan.stages.iter().map(open_files).fold(of_launcher, u64::max) }
     }
 
     /// Makes sure that there is room, now, for somebody who looks into a topic.
@@ -139,7 +149,11 @@ fn open_files(stage: &PlannedStage) -> u64 {
     let bridged = match &stage.runs {
         Runs::Bridge(plan) => {
             let edges = plan.incoming.iter().chain(&plan.outgoing);
-            FILES_OF_NETWORK + edges.map(|edge| of_topic(&edge.topic)).sum::<u64>() + 8 * plan.peers().len() as u64
+            let is_lossless = |edge: &&Edge| edge.to.iter().any(|receiver| receiver.delivery == Delivery::Lossless);
+            FILES_OF_NETWORK
+                + edges.map(|edge| of_topic(&edge.topic)).sum::<u64>()
+                + FILES_PER_LOSSLESS_EDGE * plan.outgoing.iter().filter(is_lossless).count() as u64
+                + 8 * plan.peers().len() as u64
         }
         _ => 0,
     };
@@ -210,6 +224,19 @@ mod tests {
         assert_eq!(images(&requirements(&one), "depth"), (5 + 2) + 1);
         assert_eq!(images(&requirements(&two), "depth"), (5 + 2) + (9 + 2) + 1);
         assert!(requirements(&two).open_files > requirements(&one).open_files);
+    }
+
+    #[test]
+    fn a_launcher_that_keeps_many_topics_needs_more_open_files_than_its_stages() {
+        let pairs = |count: usize| {
+            let pair = |nth: usize| {
+                let source = SOURCE.replace("source", &format!("source{nth}")).replace("depth", &format!("depth{nth}"));
+                format!("{source}[stage.sink{nth}]\nnode = \"overlay\"\ninput = \"depth{nth}\"\n")
+            };
+            requirements(&(0..count).map(pair).collect::<String>()).open_files
+        };
+        assert_eq!(pairs(1), pairs(2), "a stage needs more");
+        assert_eq!(pairs(60), FILES_OF_LAUNCHER + 60 * (FILES_PER_KEPT_TOPIC + 2));
     }
 
     #[test]

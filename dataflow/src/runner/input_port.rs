@@ -332,7 +332,7 @@ impl<R: Reader> InputPort<R> {
 
     /// Continues the counts of an earlier process, and goes on after what that has finished, where it is handed the rest again.
     /// Elsewhere what had come and was not worked on is lost, which shows in the numbers where all messages come from one writer.
-    pub(crate) fn resume(&mut self, counts: InputCounts) {
+    pub fn resume(&mut self, counts: InputCounts) {
         if counts.topic != self.counts.topic {
             return;
         }

@@ -12,8 +12,9 @@ use std::process::Child;
 
 fn supervised(planned: PlannedStage, state: State) -> Supervised {
     let (watchdog, started) = (Watchdog::new(0, Instant::now()), Instant::now());
-    let deaths = VecDeque::new();
-    Supervised { planned, state, watchdog, deaths, outsider: None, is_last: false, started, is_late: false }
+    let (deaths, outsider, at_work, turns) = (VecDeque::new(), None, None, 0);
+    let [is_hinted, is_last, is_late] = [false; 3];
+    Supervised { planned, state, watchdog, deaths, outsider, is_hinted, at_work, turns, is_last, started, is_late }
 }
 
 /// A program that gives back what it is given, and so ends when nobody gives it anything any more.
@@ -154,6 +155,39 @@ fn a_program_that_does_not_join_is_named_and_then_given_up_where_a_lossless_topi
     let stopping = run.state(Phase::Stopping { since: Instant::now() });
     assert_eq!((joined.look(&stopping), joined.is_over()), (Change::None, false), "it has its time to end");
     joined.kill();
+}
+
+#[test]
+fn a_stage_is_brought_on_by_a_process_that_comes_to_work_and_by_the_one_after_it_but_by_no_other() {
+    let (mut run, mut stage) = (TrialRun::new(), at_work(stage::<Object>()));
+    let options = RunOptions { program: "true".into(), ..RunOptions::default() };
+    let mut turns = |life: Life| {
+        run.tell("stage", stage.process().unwrap(), life);
+        (0..2).for_each(|_| assert_eq!(stage.watch(&run.state(Phase::Running)), Change::None));
+        let at_work = stage.turns();
+        stage.kill();
+        assert_eq!(stage.start_anew(&RunState { options: &options, ..run.state(Phase::Running) }), Change::None);
+        [at_work, stage.turns()]
+    };
+    let [starting, running] = [Life::Starting, Life::Running];
+    assert_eq!([starting, running, starting, starting].map(&mut turns), [[0, 0], [1, 2], [2, 2], [2, 2]]);
+    stage.kill();
+}
+
+#[test]
+fn a_program_that_never_joins_is_named_each_time_it_is_started_and_how_it_could_is_told_once() {
+    let (mut run, mut stage) = (TrialRun::new(), at_work(ended(0, Delivery::Latest).0.planned));
+    let mut hints = Vec::new();
+    for _ in 0..3 {
+        stage.started = Instant::now().checked_sub(Duration::from_secs(50)).unwrap();
+        let told = logged(|| assert_eq!(stage.look(&run.state(Phase::Running)), Change::None));
+        assert!(told.contains("has not joined the run"), "{told}");
+        hints.push(told.contains(HOW_TO_JOIN));
+        stage.kill();
+        stage.state = State::Running(echo().into());
+    }
+    stage.kill();
+    assert_eq!(hints, [true, false, false]);
 }
 
 #[test]

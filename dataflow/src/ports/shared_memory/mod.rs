@@ -13,6 +13,7 @@
 
 pub(crate) mod acknowledgements;
 mod cleanup;
+mod descriptors;
 pub(crate) mod leftovers;
 mod onlooker;
 mod reader;
@@ -26,6 +27,7 @@ pub(crate) mod trim_rss;
 mod untyped;
 mod writer;
 
+pub(crate) use descriptors::Descriptors;
 pub use onlooker::SharedOnlooker;
 pub use reader::{SharedMessage, SharedReader};
 pub use service_keeper::ServiceKeeper;
