@@ -1,5 +1,5 @@
 use super::fixtures::*;
-use super::playback::{Clock, emptiness, is_off_center};
+use super::playback::{Clock, is_off_center};
 use super::*;
 use conicflow_dataflow::testing::collect;
 use conicflow_detection::camera::Intrinsics;
@@ -213,14 +213,10 @@ fn clouds_in_millimetres_are_told() {
     let folder = Folder::new().cloud("a.pcd", &points);
     let mut source = source(&folder, Config::default(), 0);
     let playback = &mut source;
-    let frame = playback.recording.load(0).unwrap();
+    playback.recording.load(0).unwrap();
     let mut pixels = vec![0; 48 * 36];
     let too_far = playback.recording.decode(&mut pixels).unwrap();
     assert_eq!(too_far, 48 * 36 - 36, "all but the hole");
-    playback.look_for_emptiness(&frame, &[1000], too_far);
-    assert!(!playback.told_empty, "some are measured");
-    playback.look_for_emptiness(&frame, &pixels, too_far);
-    assert!(playback.told_empty);
 }
 
 #[test]
@@ -493,13 +489,6 @@ fn intrinsics_of_another_resolution_are_seen() {
     assert!(is_off_center(&camera(639.5, 359.5)), "of 1280x720");
     assert!(is_off_center(&camera(159.0, 119.5)), "of 320x240");
     assert!(is_off_center(&camera(319.5, 400.0)));
-}
-
-#[test]
-fn a_frame_without_a_measurement_is_told() {
-    assert_eq!(emptiness(&[0, 1200, 65535], 0), None);
-    assert!(emptiness(&[0, 0, 65535], 0).unwrap().starts_with("no pixel is measured"));
-    assert!(emptiness(&[0, 65535], 2).unwrap().starts_with("all 2 points are too far away"));
 }
 
 /// The camera at (x, 2, 3), looking along the world's x with z upwards.

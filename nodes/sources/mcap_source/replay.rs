@@ -5,9 +5,9 @@ use super::config::Config;
 use crate::recording::files::{Files, Messages, Seen};
 use crate::recording::own;
 use anyhow::{Context as _, Result, bail, ensure};
-use conicflow_dataflow::{ItemType, Stop, tell_frame};
+use conicflow_dataflow::{EmptyFrames, ItemType, Stop, TOO_FAR, tell_frame};
 use conicflow_messages::{Camera, Header, Hinted, Hop, INVALID_FAR, INVALID_NEAR, Item, MAX_HOPS, RECORDED, Text};
-use conicflow_ros::{CompressedImage, Depths, Image, Stamped, TF_MESSAGE, Transforms};
+use conicflow_ros::{CompressedImage, Depths, Image, Stamped, TF_MESSAGE, Transforms, Units};
 use mcap::Message;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -47,6 +47,7 @@ pub struct Replay {
     round: Round,
     counts: BTreeMap<&'static str, u64>,
     is_told: bool,
+    empty: EmptyFrames,
 }
 
 /// Where in a recording, and in which repetition of it.
@@ -95,6 +96,7 @@ impl Replay {
             round: Round::default(),
             counts: BTreeMap::new(),
             is_told: resume_at > 0,
+            empty: if resume_at > 0 { EmptyFrames::silent() } else { EmptyFrames::default() },
         };
         for _ in 0..resume_at {
             if replay.next_message()?.is_none() {
@@ -108,7 +110,7 @@ impl Replay {
     /// The same, which does not say what its images are like.
     #[must_use]
     pub fn silent(self) -> Self {
-        Self { is_told: true, ..self }
+        Self { is_told: true, empty: EmptyFrames::silent(), ..self }
     }
 
     /// What is sent.
@@ -268,7 +270,7 @@ impl Replay {
         };
         let expected = (camera.width, camera.height);
         ensure!(size == expected, "{}x{} pixels, expected {}x{}", size.0, size.1, expected.0, expected.1);
-        let (pixels, depth_scale) = depths.in_units(self.config.depth_scale);
+        let Units { pixels, depth_scale, too_far } = depths.in_units(self.config.depth_scale);
         // A driver that knows no time leaves it at zero.
         let stamp_ns = if stamped.stamp_ns > 0 { stamped.stamp_ns } else { message.log_time };
         let noise = self.config.noise.unwrap_or_default().into();
@@ -278,6 +280,7 @@ impl Replay {
         self.place(&mut header, &Stamped { stamp_ns, ..stamped });
         let items = bytemuck::cast_slice(&pixels).to_vec();
         self.item.check(&header, &items)?;
+        self.count_too_far(&message.channel.topic, &pixels, too_far);
         Ok(Replayed { header, written_ns: message.log_time, items })
     }
 
@@ -288,6 +291,14 @@ impl Replay {
             Some(pose) => header.set_pose(pose),
             None => *self.counts.entry(WITHOUT_POSE).or_default() += 1,
         }
+    }
+
+    /// Counts what was left out of an image as too far, and says where nothing is left of it, or nothing was there.
+    fn count_too_far(&mut self, topic: &str, pixels: &[u16], too_far: u64) {
+        if too_far > 0 {
+            *self.counts.entry(TOO_FAR).or_default() += too_far;
+        }
+        self.empty.look(topic, pixels, too_far);
     }
 
     /// Says once what the images are like, so that a wrong scale is seen.

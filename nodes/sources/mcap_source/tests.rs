@@ -217,6 +217,21 @@ fn metres_become_units_of_the_finest_scale() {
     assert_eq!((header.depth_scale, &units[..8]), (0.0001, &[10_000, 20_000, 0, 0, 65_000, 0, 0, 5_000][..]));
 }
 
+#[test]
+fn what_is_too_far_away_is_counted() {
+    let far = |z: f32| write_metres(stamped(0), SIZE, [z; 12].into_iter(), Vec::new());
+    let half = write_metres(stamped(0), SIZE, (0..12).map(|pixel| 2.8 * pixel as f32), Vec::new());
+    let file = Foreign::new(None).info(INFO).put(IMAGES, IMAGE, 0, &half).put(IMAGES, IMAGE, 1, &far(1500.0)).bytes();
+    let place = Place::of(&file);
+    let mut replay = place.open(Config::default()).unwrap();
+    let frames = all(&mut replay).unwrap();
+    assert_eq!(frames[0].1[..7], [0, 11_200, 22_400, 33_600, 44_800, 56_000, 0], "16.38 m at most");
+    assert_eq!((&frames[1].1, frames[1].0.depth_scale), (&vec![0; 12], 0.000_25));
+    assert_eq!(replay.take_counts().collect::<Vec<_>>(), [("points too far", 6 + 12)]);
+    let millimetres = Config { depth_scale: Some(0.001), ..Config::default() };
+    assert_eq!(place.play(millimetres).unwrap()[1].1, [15_000; 12]);
+}
+
 /// A message of `compressedDepth`, as a PNG.
 fn compressed(frame: u64) -> Vec<u8> {
     let mut file = vec![0; 12];
