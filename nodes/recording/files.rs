@@ -6,7 +6,7 @@
 
 use super::indexed::Indexed;
 use super::sequential::{Reader, Sequential};
-use super::summary::{MAX_RECORD_BYTES, summary};
+use super::summary::{MAX_RECORD_BYTES, summary, topics_with_messages};
 use anyhow::{Context as _, Error, Result, bail};
 use conicflow_dataflow::Stop;
 use conicflow_messages::{Hinted, is_special};
@@ -93,7 +93,7 @@ impl Files {
         let mut seen = BTreeMap::<String, Seen>::new();
         for path in self.paths() {
             // Where the file says what it has, it need not be read to its end.
-            let topics = summary(path).ok().flatten().map(|summary| topics_with_messages(&summary));
+            let topics = summary(path).ok().flatten().and_then(|summary| topics_with_messages(&summary));
             for (count, message) in (0..).zip(OpenFile::open(path)?.reader) {
                 self.stop.requested();
                 if topics.as_ref().is_some_and(|topics| topics.iter().all(|topic| seen.contains_key(topic))) {
@@ -222,12 +222,6 @@ fn refuse_other_formats(path: &Path) -> Result<()> {
     ))
 }
 
-fn topics_with_messages(summary: &Summary) -> Vec<String> {
-    let counts = summary.stats.iter().flat_map(|stats| &stats.channel_message_counts);
-    let with_messages = counts.filter(|(_, count)| **count > 0);
-    with_messages.filter_map(|(id, _)| Some(summary.channels.get(id)?.topic.clone())).collect()
-}
-
 /// A file that is being read: from its beginning to its end, or from some time on by its index.
 struct OpenFile {
     path: PathBuf,
@@ -243,8 +237,9 @@ impl OpenFile {
 
     /// The messages of some topics from `from_ns` on; where nothing tells where they are, all there are.
     fn open_from(path: &Path, topics: &[String], from_ns: u64) -> Result<Self> {
-        let indexed = summary(path).ok().flatten().filter(|summary| !summary.chunk_indexes.is_empty());
-        let Some(summary) = indexed else { return Self::open(path) };
+        let is_indexed =
+            |summary: &Summary| !summary.chunk_indexes.is_empty() && topics_with_messages(summary).is_some();
+        let Some(summary) = summary(path).ok().flatten().filter(is_indexed) else { return Self::open(path) };
         let limit = longest_record(&File::open(path)?)?;
         let reader = Indexed::open(path, summary, topics, from_ns, limit);
         let reader = reader.with_context(|| format!("`{}`", path.display()))?;

@@ -2,7 +2,7 @@
 //!
 //! A record says how long it is. So what cannot be read, a chunk for the most part, is left out, and reading goes on behind it.
 
-use super::summary::summary;
+use super::summary::{summary, topics_with_messages};
 use super::zstd::Zstd;
 use mcap::read::ChannelAccumulator;
 use mcap::records::{MessageHeader, Record, op};
@@ -144,10 +144,9 @@ impl Sequential {
         let Some(next) = next.filter(|next| *next < self.file_bytes) else { return Err(damage) };
         if self.left_out.count == 0 {
             // What is left out may have described channels.
-            self.channels = summary.map_or_else(
-                || std::mem::take(&mut self.channels),
-                |summary| ChannelAccumulator::from_summary(&summary),
-            );
+            if let Some(summary) = summary.filter(|summary| topics_with_messages(summary).is_some()) {
+                self.channels = ChannelAccumulator::from_summary(&summary);
+            }
         }
         self.left_out.add(damage);
         self.go_on(next, true)
