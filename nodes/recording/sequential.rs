@@ -46,6 +46,9 @@ pub(super) struct Sequential {
 pub(super) trait Reader: Iterator<Item = McapResult<Message<'static>>> + Send {
     /// What was left out so far.
     fn left_out(&self) -> &LeftOut;
+
+    /// Whether messages come in the order of their times.
+    fn is_in_order(&self) -> bool;
 }
 
 /// The places of a file that were left out, because they are damaged.
@@ -182,6 +185,10 @@ impl Sequential {
 impl Reader for Sequential {
     fn left_out(&self) -> &LeftOut {
         &self.left_out
+    }
+
+    fn is_in_order(&self) -> bool {
+        false
     }
 }
 

@@ -437,6 +437,19 @@ fn the_header_says_where_the_frame_comes_from() {
 }
 
 #[test]
+fn links_that_lead_nowhere_keep_their_places() {
+    let folder = Folder::new().depth(&["a.png", "d.png"]).file("aa.pose.txt", "");
+    let link = |name: &str| std::os::unix::fs::symlink("/nowhere/frame.png", folder.at(name)).unwrap();
+    ["b.png", "c.png", "b.txt", "b.pose.txt"].into_iter().for_each(link);
+    let mut recording = folder.open_given();
+    assert_eq!(names(&mut recording), ["a.png", "d.png"]);
+    assert_eq!((recording.load(1).unwrap().slot, recording.slots()), (3, 4));
+    let reasons: Vec<_> = recording.unreadable().map(|error| format!("{error:#}")).collect();
+    assert_eq!(reasons.len(), 2);
+    assert!(reasons[0].contains("b.png`: a link that leads nowhere\n  hint: "), "{}", reasons[0]);
+}
+
+#[test]
 fn only_when_no_frame_can_be_read_it_is_an_error() {
     let folder = Folder::new().depth(&["0.png", "1.png"]);
     let mut source = source(&folder, Config::default(), 0);

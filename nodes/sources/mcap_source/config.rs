@@ -75,6 +75,11 @@ impl Config {
         files.into_iter().map(|file| FileUse::one(key, file)).chain(those_that_come).collect()
     }
 
+    /// Whether not all of the recording is played.
+    pub(super) fn is_part(&self) -> bool {
+        self.from_s > 0.0 || self.to_s.is_some()
+    }
+
     /// Why the images of a recording cannot be played, as far as that is known at once: where its files tell what they have, and
     /// nothing but images can be meant.
     fn unplayable(&self, path: &Path) -> Option<ConfigFault> {

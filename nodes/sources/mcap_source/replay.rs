@@ -108,6 +108,11 @@ impl Replay {
             is_told: resume_at > 0,
             empty: if resume_at > 0 { EmptyFrames::silent() } else { EmptyFrames::default() },
         };
+        if config.is_part() {
+            let first = replay.files.messages_again(&[replay.chosen.topics()[0]]).next().transpose()?;
+            replay.round.begin_ns = first.map(|message| message.log_time);
+            replay.messages = replay.part(replay.files.messages(&replay.chosen.topics()));
+        }
         for _ in 0..resume_at {
             if replay.next_message()?.is_none() {
                 break;
@@ -178,7 +183,7 @@ impl Replay {
 
     /// Goes to the first message that was written at `from_ns` or later.
     pub fn seek(&mut self, from_ns: u64) {
-        self.messages = self.files.messages_from(&self.chosen.topics(), from_ns);
+        self.messages = self.files.messages_again(&self.chosen.topics()).between(from_ns, None);
         self.header = None;
     }
 
@@ -251,8 +256,17 @@ impl Replay {
             ..Round::default()
         };
         self.info = None;
-        self.messages = self.files.messages_again(&self.chosen.topics());
+        self.messages = self.part(self.files.messages_again(&self.chosen.topics()));
         Ok(true)
+    }
+
+    /// Those of some messages that are between `from_s` and `to_s`, or a little more.
+    fn part(&self, messages: Messages) -> Messages {
+        let Some(begin_ns) = self.round.begin_ns.filter(|_| self.config.is_part()) else { return messages };
+        let after = |seconds: f64| begin_ns.saturating_add((seconds * 1e9).ceil() as u64);
+        let Config { from_s, to_s, .. } = self.config;
+        let from_ns = if from_s > 0.0 { after(from_s).saturating_sub(1) } else { 0 };
+        messages.between(from_ns, to_s.map(|to_s| after(to_s).saturating_add(1)))
     }
 
     fn is_in_time(&mut self, message: &Message) -> bool {

@@ -516,6 +516,30 @@ fn poses_come_from_tf_where_they_are_asked_for() {
 }
 
 #[test]
+fn of_a_part_no_more_is_read_than_is_needed() {
+    let file = Foreign::new(None).info(INFO).images(IMAGES, 0..9).bytes();
+    let image = |frame| write_units(stamped(frame), SIZE, &pixels(frame), Vec::new());
+    let at = |frame| file.windows(image(0).len()).position(|bytes| bytes == image(frame)).unwrap();
+    let damaged = chunks(&file).into_iter().find(|chunk| chunk.contains(&at(4))).unwrap();
+    assert!(damaged.start > at(1) && damaged.end < at(7), "they are in several chunks");
+    for (part, expected) in [
+        (Config { to_s: Some(0.15), ..Config::default() }, &[0, 1][..]),
+        (Config { from_s: 0.65, ..Config::default() }, &[7, 8]),
+    ] {
+        let mut bytes = file.clone();
+        bytes[damaged.start + 70..damaged.end].iter_mut().for_each(|byte| *byte = !*byte);
+        let place = Place::of(&bytes);
+        let mut replay = place.open(Config { repeat: true, ..part }).unwrap();
+        for round in 0..2 {
+            let frames = expected.iter().map(|_| replay.next_message().unwrap().unwrap());
+            let pixels_of: Vec<_> = frames.map(|frame| frame.items_as::<u16>()).collect();
+            assert_eq!(pixels_of, expected.iter().map(|frame| pixels(*frame)).collect::<Vec<_>>(), "{round}");
+        }
+        assert_eq!(replay.take_counts().collect::<Vec<_>>(), [], "what is damaged is not looked at");
+    }
+}
+
+#[test]
 fn a_part_is_played_and_played_again() {
     let place = Place::of(&usual(None));
     let part = Config { from_s: 0.1, to_s: Some(0.35), ..Config::default() };
