@@ -1,10 +1,12 @@
 //! What a source says once of its frames.
 
-use conicflow_messages::{Camera, median_depth};
+use conicflow_messages::{Camera, is_measured, median_depth};
 use std::ops::Range;
 
 /// Median depths outside of this, in metres, speak for a wrong `depth_scale`.
 const PLAUSIBLE_DEPTH_M: Range<f64> = 0.1..20.0;
+/// Counter of the measurements of a frame that are left out because they are farther away than a pixel of 16 bits can tell.
+pub const TOO_FAR: &str = "points too far";
 
 /// Says what frames are like by the pixels of one of them, so that a wrong scale is seen; whether any of these is measured.
 pub fn tell_frame(what: &str, name: &str, camera: &Camera, depth_scale: f64, pixels: &[u16]) -> bool {
@@ -28,5 +30,54 @@ pub fn tell_median(what: &str, name: &str, camera: &Camera, median_m: f64) {
             "a median depth of {median_m:.3} m is not plausible\n  hint: `depth_scale` is in metres per unit: 0.001 \
              for millimetres, 0.0002 for TUM"
         );
+    }
+}
+
+/// Says of frames without any measurement why they have none, each reason once.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct EmptyFrames {
+    told_unmeasured: bool,
+    told_too_far: bool,
+}
+
+impl EmptyFrames {
+    /// The same, which says nothing.
+    pub fn silent() -> Self {
+        Self { told_unmeasured: true, told_too_far: true }
+    }
+
+    /// Looks at the pixels of a frame, and how many of its measurements were left out as too far. What it says, if anything.
+    pub fn look(&mut self, name: &str, pixels: &[u16], too_far: u64) -> Option<String> {
+        let told = if too_far > 0 { &mut self.told_too_far } else { &mut self.told_unmeasured };
+        if *told || pixels.iter().any(|&pixel| is_measured(pixel)) {
+            return None;
+        }
+        *told = true;
+        let why = match too_far {
+            0 => "no pixel is measured, all are 0, 65535 or not a number\n  hint: nothing can be found there; was the camera \
+                  covered, or too near?"
+                .to_owned(),
+            _ => format!(
+                "all {too_far} points are too far away and left out\n  hint: if they are in millimetres, write `depth_scale = \
+                 0.001`, to `conicflow detect` `--scale 0.001`"
+            ),
+        };
+        tracing::warn!("`{name}`: {why}");
+        Some(why)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_frames_without_a_measurement_each_reason_is_told_once() {
+        let mut empty = EmptyFrames::default();
+        assert_eq!(empty.look("a", &[0, 1200, 65535], 1), None);
+        assert!(empty.look("b", &[0, 0, 65535], 0).unwrap().starts_with("no pixel is measured"));
+        assert!(empty.look("c", &[0, 65535], 2).unwrap().starts_with("all 2 points are too far away"));
+        assert_eq!([0, 2].map(|too_far| empty.look("d", &[0], too_far)), [None, None]);
+        assert_eq!([0, 2].map(|too_far| EmptyFrames::silent().look("e", &[0], too_far)), [None, None]);
     }
 }

@@ -57,7 +57,7 @@ pub use clock::{monotonic_ns, unix_ns};
 pub use conicflow_messages::{ConfigFault, Hinted};
 pub use doctor::{Finding, clean, examine};
 pub use file_use::FileUse;
-pub use first_frame::{tell_frame, tell_median};
+pub use first_frame::{EmptyFrames, TOO_FAR, tell_frame, tell_median};
 pub use item_type::{AnyMessage, BUILT_IN, ItemType};
 pub use launcher::{
     FolderError, LaunchError, PIPELINE, ProcessError, RUNTIME_DIR, RunFolder, RunLock, RunOptions, StageSummary,

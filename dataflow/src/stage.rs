@@ -43,6 +43,8 @@ pub struct Context {
     pub stage: String,
     /// Folder of the pipeline file; relative paths are resolved against it.
     pub base: PathBuf,
+    /// A number that no other run has; 0 where the stage was started by itself.
+    pub run: u64,
     /// Number of messages that this stage sent or took before it was started anew in the same run; 0 at first.
     pub resume_at: u64,
     /// What drives it. A stage that takes lists of any type, as [`AnyByte`](conicflow_messages::AnyByte), learns it here.

@@ -8,7 +8,7 @@ use crate::recording::recorder::{Recorded, Recorder, file_at};
 use crate::sinks::mcap_sink;
 use anyhow::{Context as _, Result, bail};
 use clap::Args;
-use conicflow_dataflow::{Requirements, Watching, monotonic_ns};
+use conicflow_dataflow::{NO_RUN, Requirements, Watching, monotonic_ns};
 use conicflow_messages::{Header, Hinted, Text};
 use conicflow_view::give_way;
 use std::collections::{BTreeMap, HashSet};
@@ -76,7 +76,7 @@ pub fn record(arguments: &RecordArguments) -> Result<()> {
     let needs = Requirements::of(&running.plan, NODES);
     recorded.iter().try_for_each(|topic| needs.look_for_onlooker(topic))?;
     let watched = recorded.iter().map(|topic| Ok((topic.expect_item()?, *topic))).collect::<Result<Vec<_>>>()?;
-    let recorder = Recorder::create(&arguments.out, limits, false)?;
+    let recorder = Recorder::create(&arguments.out, limits, NO_RUN, false)?;
     let names: Vec<_> = recorded.iter().map(|topic| format!("`{}`", topic.name)).collect();
     tracing::info!("records {} into `{}`; Ctrl-C ends it", names.join(", "), arguments.out.display());
     let mut tally = Tally::default();

@@ -6,7 +6,7 @@
 
 use super::indexed::Indexed;
 use super::sequential::{Reader, Sequential};
-use super::summary::{MAX_RECORD_BYTES, summary};
+use super::summary::{MAX_RECORD_BYTES, summary, topics_with_messages};
 use anyhow::{Context as _, Error, Result, bail};
 use conicflow_dataflow::Stop;
 use conicflow_messages::{Hinted, is_special};
@@ -93,7 +93,7 @@ impl Files {
         let mut seen = BTreeMap::<String, Seen>::new();
         for path in self.paths() {
             // Where the file says what it has, it need not be read to its end.
-            let topics = summary(path).ok().flatten().map(|summary| topics_with_messages(&summary));
+            let topics = summary(path).ok().flatten().and_then(|summary| topics_with_messages(&summary));
             for (count, message) in (0..).zip(OpenFile::open(path)?.reader) {
                 self.stop.requested();
                 if topics.as_ref().is_some_and(|topics| topics.iter().all(|topic| seen.contains_key(topic))) {
@@ -127,18 +127,12 @@ impl Files {
         let is_only = self.files.len() == 1;
         let left = self.files.clone().into_iter();
         let stop = self.stop.clone();
-        Messages { left, open: None, topics, from_ns: None, is_only, is_told: false, damaged: 0, stop }
+        Messages { left, open: None, topics, from_ns: None, until_ns: None, is_only, is_told: false, damaged: 0, stop }
     }
 
     /// The same, with not a word on files that end in the middle.
     pub fn messages_again(&self, topics: &[&str]) -> Messages {
         Messages { is_told: true, ..self.messages(topics) }
-    }
-
-    /// Those that were written at `from_ns` or later, with not a word on files that end in the middle. Of a file whose end tells
-    /// where its messages are no more is read than is needed, and they come in the order of their times.
-    pub fn messages_from(&self, topics: &[&str], from_ns: u64) -> Messages {
-        Messages { from_ns: Some(from_ns), ..self.messages_again(topics) }
     }
 
     /// When the first and the last message were written; none where there are no messages.
@@ -222,12 +216,6 @@ fn refuse_other_formats(path: &Path) -> Result<()> {
     ))
 }
 
-fn topics_with_messages(summary: &Summary) -> Vec<String> {
-    let counts = summary.stats.iter().flat_map(|stats| &stats.channel_message_counts);
-    let with_messages = counts.filter(|(_, count)| **count > 0);
-    with_messages.filter_map(|(id, _)| Some(summary.channels.get(id)?.topic.clone())).collect()
-}
-
 /// A file that is being read: from its beginning to its end, or from some time on by its index.
 struct OpenFile {
     path: PathBuf,
@@ -243,8 +231,9 @@ impl OpenFile {
 
     /// The messages of some topics from `from_ns` on; where nothing tells where they are, all there are.
     fn open_from(path: &Path, topics: &[String], from_ns: u64) -> Result<Self> {
-        let indexed = summary(path).ok().flatten().filter(|summary| !summary.chunk_indexes.is_empty());
-        let Some(summary) = indexed else { return Self::open(path) };
+        let is_indexed =
+            |summary: &Summary| !summary.chunk_indexes.is_empty() && topics_with_messages(summary).is_some();
+        let Some(summary) = summary(path).ok().flatten().filter(is_indexed) else { return Self::open(path) };
         let limit = longest_record(&File::open(path)?)?;
         let reader = Indexed::open(path, summary, topics, from_ns, limit);
         let reader = reader.with_context(|| format!("`{}`", path.display()))?;
@@ -266,6 +255,8 @@ pub struct Messages {
     topics: Vec<String>,
     /// Messages that were written earlier are left out.
     from_ns: Option<u64>,
+    /// So are those that were written at this time or later.
+    until_ns: Option<u64>,
     /// Whether there is but one file.
     is_only: bool,
     /// Whether it was said what is wrong with the files.
@@ -276,6 +267,13 @@ pub struct Messages {
 }
 
 impl Messages {
+    /// Those of them that were written at `from_ns` or later, and before `until_ns`: of a file whose end tells where its messages are
+    /// no more is read than is needed, and they come in the order of their times.
+    #[must_use]
+    pub fn between(self, from_ns: u64, until_ns: Option<u64>) -> Self {
+        Self { from_ns: Some(from_ns), until_ns, ..self }
+    }
+
     /// How many places were left out so far, because they are damaged.
     pub fn damaged(&self) -> u64 {
         self.damaged + self.open.as_ref().map_or(0, |(file, ..)| file.reader.left_out().count)
@@ -305,14 +303,14 @@ impl Messages {
                 Some(Ok(message)) => {
                     *count += 1;
                     let is_early = self.from_ns.is_some_and(|from_ns| message.log_time < from_ns);
-                    if !is_early && self.topics.contains(&message.channel.topic) {
+                    let is_late = self.until_ns.is_some_and(|until_ns| message.log_time >= until_ns);
+                    if is_late && file.reader.is_in_order() {
+                        self.close();
+                    } else if !is_early && !is_late && self.topics.contains(&message.channel.topic) {
                         return Ok(Some(message));
                     }
                 }
-                None => {
-                    self.damaged += file.reader.left_out().count;
-                    self.open = None;
-                }
+                None => self.close(),
                 Some(Err(_)) if file.path.metadata().is_ok_and(|about| about.len() < *length) => {
                     let (path, count) = (file.path.display(), *count);
                     return Err(gone(&format!("`{path}` has become shorter, and ends after {count} messages")));
@@ -324,11 +322,16 @@ impl Messages {
                     if !self.is_told {
                         tracing::warn!("{damage}");
                     }
-                    self.damaged += file.reader.left_out().count;
-                    self.open = None;
+                    self.close();
                 }
             }
         }
+    }
+
+    /// Goes on with the next file.
+    fn close(&mut self) {
+        self.damaged = self.damaged();
+        self.open = None;
     }
 }
 

@@ -152,6 +152,10 @@ impl Reader for Indexed {
     fn left_out(&self) -> &LeftOut {
         &self.left_out
     }
+
+    fn is_in_order(&self) -> bool {
+        true
+    }
 }
 
 impl Iterator for Indexed {

@@ -11,25 +11,28 @@
 //! | `list` | short lists with all numbers by name, those of the lines of `json_sink` |
 //!
 //! and `/tf` has the pose of the camera. All messages of a frame have its stamp. What was written is in the file after a second
-//! at most, in chunks that are whole: who reads the file of a recorder that was killed finds all until then.
+//! at most, or when the recorder is asked to flush, in chunks that are whole: who reads the file of a recorder that was killed finds
+//! all until then. An earlier recording is there until the first message comes. Each file tells the run that it is of.
 
 use super::files::with_length;
 use super::own::{self, ENCODING, IMAGE, MESSAGE, SCHEMA};
+use super::summary::MAX_RECORD_BYTES;
 use anyhow::{Context as _, Error, Result};
 use conicflow_dataflow::{AnyMessage, FileUse, ItemType};
 use conicflow_messages::{
-    ABSENT, Fields, Header, Hinted, INVALID_FAR, INVALID_NEAR, Named, Object, Text, Track, Velocity,
+    ABSENT, Fields, Header, Hinted, INVALID_FAR, INVALID_NEAR, Named, Object, Text, Track, Velocity, is_special,
 };
 use conicflow_ros::{
     CAMERA_INFO, CameraInfo, Definition, IMAGE as IMAGE_TYPE, MARKER_ARRAY, Marked, Markers, POINT_CLOUD, Stamped,
     TF_MESSAGE, list_definition, markers, surface_points, write_list, write_metres, write_transform, write_units,
 };
-use mcap::records::MessageHeader;
+use mcap::records::{MessageHeader, Metadata, Record};
+use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::write::NoSeek;
-use mcap::{Compression, McapError, WriteOptions, Writer};
+use mcap::{Compression, McapError, WriteOptions, Writer, parse_record};
 use std::collections::{BTreeMap, VecDeque};
 use std::fs::{self, File};
-use std::io::{self, ErrorKind, Write};
+use std::io::{self, ErrorKind, Read as _, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
@@ -46,6 +49,9 @@ const WORLD: &str = "world";
 const NAMELESS: &str = "camera";
 /// The encoding of a schema that is but a name.
 const NAME_ALONE: &str = "";
+/// The name of the metadata of a file, and the key under which its run stands there.
+const ABOUT: &str = "conicflow";
+const RUN: &str = "run";
 /// The unit of whole numbers in images of ROS.
 const MILLIMETRE: f64 = 0.001;
 
@@ -85,8 +91,9 @@ pub struct Recorder {
 struct Files {
     path: PathBuf,
     limits: Limits,
-    /// Whether it goes on behind the files of an earlier process.
-    goes_on: bool,
+    run: u64,
+    /// The first one, until something comes.
+    first: Option<FirstFile>,
     open: Option<OpenFile>,
     /// Number of the next file, from 0.
     next: u64,
@@ -96,6 +103,16 @@ struct Files {
     /// What went wrong when nobody was there to be told.
     failure: Option<Error>,
     memory: Vec<u8>,
+}
+
+/// A file that can be written, and was not yet.
+struct FirstFile {
+    path: PathBuf,
+    file: File,
+    /// Whether there was none.
+    is_new: bool,
+    /// The files of an earlier recording, whose place it takes.
+    earlier: Vec<PathBuf>,
 }
 
 /// A file that is being written.
@@ -140,30 +157,34 @@ impl Write for Counted {
 }
 
 impl Recorder {
-    /// A recording at `path`, whose folder is made where it is missing: behind the files that an earlier process of the same run
-    /// has left there, if `goes_on`, or else anew; one that may have several files takes the place of all of an earlier one.
+    /// A recording of `run` at `path`, whose folder is made where it is missing: behind the files that are there, if `goes_on`,
+    /// because an earlier process of that run has left some of them, or else anew. With the first message, one that may have several
+    /// files takes the place of all of an earlier one.
     ///
     /// # Errors
-    /// It cannot be made or written, or what was there cannot be removed.
-    pub fn create(path: &Path, limits: Limits, goes_on: bool) -> Result<Self> {
-        let earlier = files_at(path, goes_on || limits.has_several_files());
-        let before = if goes_on { &earlier[..] } else { &[] };
-        let mut files = Files {
+    /// It cannot be made or written.
+    pub fn create(path: &Path, limits: Limits, run: u64, goes_on: bool) -> Result<Self> {
+        let there = files_at(path, goes_on || limits.has_several_files());
+        let number = there.last().filter(|_| goes_on).map_or(0, |last| last + 1);
+        let there = there.into_iter().map(|number| numbered(path, number));
+        let (complete, earlier) = if goes_on {
+            (there.filter(|file| run_of(file) == Some(run)).map(with_length).collect(), Vec::new())
+        } else {
+            (VecDeque::new(), there.collect())
+        };
+        let first = FirstFile::open(numbered(path, number), earlier).map_err(|error| told(error.into(), path))?;
+        let files = Files {
             path: path.to_owned(),
             limits,
-            goes_on,
+            run,
+            first: Some(first),
             open: None,
-            next: before.last().map_or(0, |last| last + 1),
-            complete: before.iter().map(|number| with_length(numbered(path, *number))).collect(),
+            next: number + 1,
+            complete,
             is_full: false,
             failure: None,
             memory: Vec::new(),
         };
-        files.open_next().map_err(|error| told(error, path))?;
-        if !goes_on {
-            let mut further = earlier.iter().filter(|number| **number > 0).map(|number| numbered(path, *number));
-            further.try_for_each(fs::remove_file).map_err(|error| told(error.into(), path))?;
-        }
         let files = Arc::new(Mutex::new(files));
         let flushed = Arc::downgrade(&files);
         thread::Builder::new().name("recorder".to_owned()).spawn(move || keep_flushed(&flushed))?;
@@ -180,13 +201,28 @@ impl Recorder {
         files.write(topic, message, latency_ms).map_err(|error| told(error, &path))
     }
 
-    /// Completes the file; how many bytes all of them have.
+    /// Puts all that was written into the file, at once and not after a while.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn flush(&self) -> Result<()> {
+        let mut files = lock(&self.files);
+        let path = files.path.clone();
+        files.flush().map_err(|error| told(error, &path))
+    }
+
+    /// Completes the file; how many bytes all of them have. Where nothing came, an earlier recording stays.
     ///
     /// # Errors
     /// It cannot be written.
     pub fn finish(&self) -> Result<u64> {
         let mut files = lock(&self.files);
         let path = files.path.clone();
+        if files.first.as_ref().is_some_and(|first| first.earlier.is_empty()) {
+            files.begin().map_err(|error| told(error, &path))?;
+        } else if files.first.is_some() {
+            tracing::warn!("nothing came to be recorded: `{}` is still that of an earlier run", path.display());
+        }
         files.complete_open().map_err(|error| told(error, &path))?;
         files.failure.take().map_or(Ok(()), |error| Err(told(error, &path)))?;
         Ok(files.complete.iter().map(|(_, bytes)| bytes).sum())
@@ -194,14 +230,10 @@ impl Recorder {
 }
 
 impl Drop for Recorder {
-    /// Where it goes on beside an earlier process, and nothing came of it, such as of a stage that was made on trial, it leaves no
-    /// file behind.
+    /// Where nothing came of it, such as of a stage that was made on trial, it leaves no file behind.
     fn drop(&mut self) {
-        let mut files = lock(&self.files);
-        let goes_on = files.goes_on;
-        if let Some(open) = files.open.take_if(|open| goes_on && open.channels.is_empty()) {
-            // It would be a recording of nothing.
-            fs::remove_file(&open.path).ok();
+        if let Some(first) = lock(&self.files).first.take_if(|first| first.is_new) {
+            fs::remove_file(&first.path).ok();
         }
     }
 }
@@ -277,10 +309,55 @@ pub fn further_files(key: &'static str, path: &Path) -> FileUse {
     FileUse::numbered(key, path.parent().unwrap_or(Path::new("")).to_owned(), prefix, ending)
 }
 
+/// The run that wrote a file, where it tells at its beginning.
+fn run_of(path: &Path) -> Option<u64> {
+    if is_special(path) {
+        return None;
+    }
+    // A chunk is not wanted: what tells the run stands before the first.
+    let options = LinearReaderOptions::default().with_emit_chunks(true);
+    let mut reader = LinearReader::new_with_options(options.with_record_length_limit(MAX_RECORD_BYTES as usize));
+    let mut file = File::open(path).ok()?;
+    loop {
+        match reader.next_event()?.ok()? {
+            LinearReadEvent::ReadRequest(bytes) => {
+                let read = file.read(reader.insert(bytes)).ok()?;
+                reader.notify_read(read);
+            }
+            LinearReadEvent::Record { opcode, data } => match parse_record(opcode, data).ok()? {
+                Record::Header(_) => {}
+                Record::Metadata(about) if about.name == ABOUT => return about.metadata.get(RUN)?.parse().ok(),
+                _ => return None,
+            },
+        }
+    }
+}
+
+impl FirstFile {
+    fn open(path: PathBuf, earlier: Vec<PathBuf>) -> io::Result<Self> {
+        path.parent().map_or(Ok(()), fs::create_dir_all)?;
+        let is_new = !path.exists();
+        let file = File::options().write(true).create(true).truncate(false).open(&path)?;
+        Ok(Self { path, file, is_new, earlier })
+    }
+}
+
 impl Files {
+    /// Takes the place of an earlier recording, as something is to be written.
+    fn begin(&mut self) -> Result<()> {
+        let Some(FirstFile { path, file, earlier, .. }) = &self.first else { return Ok(()) };
+        earlier.iter().filter(|file| *file != path).try_for_each(fs::remove_file)?;
+        if file.metadata()?.len() > 0 {
+            file.set_len(0)?;
+        }
+        self.open = Some(OpenFile::begin(path, file.try_clone()?, self.run)?);
+        self.first = None;
+        Ok(())
+    }
+
     fn open_next(&mut self) -> Result<()> {
         let path = numbered(&self.path, self.next);
-        self.open = Some(OpenFile::create(&path)?);
+        self.open = Some(OpenFile::begin(&path, File::create(&path)?, self.run)?);
         self.next += 1;
         Ok(())
     }
@@ -292,6 +369,7 @@ impl Files {
         if self.is_full {
             return Ok(Recorded::Full);
         }
+        self.begin()?;
         self.split(message.header.stamp_ns)?;
         let Some(open) = &mut self.open else { return Ok(Recorded::Full) };
         let written = open.write(topic, message, latency_ms, std::mem::take(&mut self.memory));
@@ -339,20 +417,24 @@ impl Files {
     }
 
     fn flush_if_due(&mut self) {
-        let Some(open) = &mut self.open else { return };
-        if open.waits.is_none_or(|since| since.elapsed() < FLUSH) {
-            return;
+        let waits = self.open.as_ref().and_then(|open| open.waits);
+        if waits.is_some_and(|since| since.elapsed() >= FLUSH) {
+            self.failure = self.flush().err();
         }
+    }
+
+    fn flush(&mut self) -> Result<()> {
+        let Some(open) = self.open.as_mut().filter(|open| open.waits.is_some()) else { return Ok(()) };
         open.waits = None;
         let flushed = open.writer.flush().map_err(Error::from);
-        self.failure = open.settle(flushed).err();
+        open.settle(flushed)
     }
 }
 
 impl OpenFile {
-    fn create(path: &Path) -> Result<Self> {
-        path.parent().map_or(Ok(()), fs::create_dir_all)?;
-        let (file, bytes, torn) = (Arc::new(File::create(path)?), Arc::new(AtomicU64::new(0)), Arc::default());
+    /// Begins a recording in a file that is empty.
+    fn begin(path: &Path, file: File, run: u64) -> Result<Self> {
+        let (file, bytes, torn) = (Arc::new(file), Arc::new(AtomicU64::new(0)), Arc::default());
         // A chunk is written at once, when it is whole.
         let options = WriteOptions::new()
             .profile("ros2")
@@ -360,7 +442,9 @@ impl OpenFile {
             .compression(Some(Compression::Lz4))
             .disable_seeking(true);
         let counted = Counted { file: Arc::clone(&file), bytes: Arc::clone(&bytes), torn: Arc::clone(&torn) };
-        let writer = Writer::with_options(NoSeek::new(counted), options)?;
+        let mut writer = Writer::with_options(NoSeek::new(counted), options)?;
+        let about = BTreeMap::from([(RUN.to_owned(), run.to_string())]);
+        writer.write_metadata(&Metadata { name: ABOUT.to_owned(), metadata: about })?;
         let whole = bytes.load(Ordering::Relaxed);
         Ok(Self {
             path: path.to_owned(),

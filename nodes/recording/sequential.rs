@@ -2,7 +2,7 @@
 //!
 //! A record says how long it is. So what cannot be read, a chunk for the most part, is left out, and reading goes on behind it.
 
-use super::summary::summary;
+use super::summary::{summary, topics_with_messages};
 use super::zstd::Zstd;
 use mcap::read::ChannelAccumulator;
 use mcap::records::{MessageHeader, Record, op};
@@ -46,6 +46,9 @@ pub(super) struct Sequential {
 pub(super) trait Reader: Iterator<Item = McapResult<Message<'static>>> + Send {
     /// What was left out so far.
     fn left_out(&self) -> &LeftOut;
+
+    /// Whether messages come in the order of their times.
+    fn is_in_order(&self) -> bool;
 }
 
 /// The places of a file that were left out, because they are damaged.
@@ -144,10 +147,9 @@ impl Sequential {
         let Some(next) = next.filter(|next| *next < self.file_bytes) else { return Err(damage) };
         if self.left_out.count == 0 {
             // What is left out may have described channels.
-            self.channels = summary.map_or_else(
-                || std::mem::take(&mut self.channels),
-                |summary| ChannelAccumulator::from_summary(&summary),
-            );
+            if let Some(summary) = summary.filter(|summary| topics_with_messages(summary).is_some()) {
+                self.channels = ChannelAccumulator::from_summary(&summary);
+            }
         }
         self.left_out.add(damage);
         self.go_on(next, true)
@@ -183,6 +185,10 @@ impl Sequential {
 impl Reader for Sequential {
     fn left_out(&self) -> &LeftOut {
         &self.left_out
+    }
+
+    fn is_in_order(&self) -> bool {
+        false
     }
 }
 

@@ -23,3 +23,47 @@ pub(super) fn summary(path: &Path) -> McapResult<Option<Summary>> {
     }
     Ok(reader.finish().filter(|summary| summary.stats.is_some()))
 }
+
+/// The topics that have messages; none where the end of a file does not tell them all: it may leave out channels, and how many
+/// messages each has.
+pub(super) fn topics_with_messages(summary: &Summary) -> Option<Vec<String>> {
+    let stats = summary.stats.as_ref()?;
+    let counts = || stats.channel_message_counts.iter().filter(|(_, count)| **count > 0);
+    let counted = counts().fold(0_u64, |sum, (_, count)| sum.saturating_add(*count));
+    if counted < stats.message_count {
+        return None;
+    }
+    counts().map(|(id, _)| Some(summary.channels.get(id)?.topic.clone())).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use mcap::Channel;
+    use mcap::records::Statistics;
+    use std::collections::BTreeMap;
+    use std::sync::Arc;
+
+    #[test]
+    fn topics_are_told_only_where_all_are() {
+        let channel = |id| Channel {
+            id,
+            topic: format!("/{id}"),
+            schema: None,
+            message_encoding: String::new(),
+            metadata: BTreeMap::new(),
+        };
+        let told = |message_count, counts: &[(u16, u64)], channels: &[u16]| {
+            let channel_message_counts = counts.iter().copied().collect();
+            let stats = Some(Statistics { message_count, channel_message_counts, ..Statistics::default() });
+            let channels = channels.iter().map(|id| (*id, Arc::new(channel(*id)))).collect();
+            topics_with_messages(&Summary { stats, channels, ..Summary::default() })
+        };
+        assert_eq!(told(3, &[(1, 3), (2, 0)], &[1, 2]), Some(vec!["/1".to_owned()]));
+        assert_eq!(told(0, &[], &[1]), Some(Vec::new()));
+        assert_eq!(told(3, &[(1, 3)], &[]), None, "no channels");
+        assert_eq!(told(3, &[], &[1]), None, "no counts");
+        assert_eq!(told(3, &[(1, 2)], &[1]), None, "not all");
+        assert_eq!(topics_with_messages(&Summary::default()), None);
+    }
+}

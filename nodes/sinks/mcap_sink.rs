@@ -3,6 +3,7 @@
 
 use crate::faults::stage_error;
 use crate::recording::recorder::{Limits, Recorded, Recorder, further_files};
+use conicflow_dataflow::ports::Delivery;
 use conicflow_dataflow::{
     AnyMessage, BUILT_IN, ConfigFault, Context, FileUse, ItemType, Output, SideInput, SideInputs, Stage, StageError,
     monotonic_ns,
@@ -46,6 +47,8 @@ impl Config {
 /// Writes messages with items of type `T` into a recording, with what was made of the same frames.
 pub struct McapSink<T> {
     recorder: Recorder,
+    /// Whether no message may be lost, also if this process is killed.
+    is_lossless: bool,
     /// What the items are.
     item: ItemType,
     is_told: bool,
@@ -81,9 +84,11 @@ impl<T: Item> Stage for McapSink<T> {
     fn new(config: Config, context: &Context) -> Result<Self, StageError> {
         let path = config.path.as_ref();
         let path = path.ok_or_else(|| Hinted::new("`path` is missing", "write `path = \"run.mcap\"`"))?;
-        let recorder = Recorder::create(&context.resolve(path), config.limits(), context.resume_at > 0)?;
+        let path = context.resolve(path);
+        let recorder = Recorder::create(&path, config.limits(), context.run, context.resume_at > 0)?;
+        let is_lossless = context.delivery == Some(Delivery::Lossless);
         let item = context.input.clone().unwrap_or(const { ItemType::of::<T>() });
-        Ok(Self { recorder, item: shown(item), is_told: false, items: PhantomData })
+        Ok(Self { recorder, is_lossless, item: shown(item), is_told: false, items: PhantomData })
     }
 
     fn side_inputs() -> &'static [SideInput] {
@@ -106,6 +111,10 @@ impl<T: Item> Stage for McapSink<T> {
         if left_out > 0 && !self.is_told {
             self.is_told = true;
             tracing::warn!("the recording has reached `limit_mb`: no more is recorded");
+        }
+        if self.is_lossless {
+            // Whoever wrote these keeps them no longer.
+            self.recorder.flush().map_err(stage_error)?;
         }
         output.count("messages recorded", (recorded.len() - left_out) as u64);
         output.count("messages beyond the limit", left_out as u64);

@@ -386,7 +386,7 @@ mod tests {
 
     /// A recording of these frames, without depth images.
     fn record(path: &Path, sequences: Range<u64>) {
-        let recorder = Recorder::create(path, Limits::default(), false).unwrap();
+        let recorder = Recorder::create(path, Limits::default(), 0, false).unwrap();
         for sequence in sequences {
             let camera = Camera { width: 4, height: 3, fx: 50.0, fy: 50.0, cx: 1.5, cy: 1.0 };
             let stamp_ns = sequence * SPACING_NS;

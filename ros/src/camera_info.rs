@@ -56,6 +56,12 @@ impl CameraInfo {
         Ok(Self { width, height, distortion, k, p, binning, offset, region: [region_width, region_height] })
     }
 
+    /// Whether it tells a camera: a driver that is not ready yet, or has not been calibrated, leaves numbers at zero.
+    pub fn is_calibrated(&self) -> bool {
+        let has_focal_lengths = |matrix: &[f64]| matrix[0] > 0.0 && matrix[matrix.len() / 3 + 1] > 0.0;
+        self.width > 0 && self.height > 0 && (has_focal_lengths(&self.k) || has_focal_lengths(&self.p))
+    }
+
     /// The camera of images of this size: of rectified ones by the projection, of raw ones by the intrinsics, if these have no
     /// distortion.
     ///

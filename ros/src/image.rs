@@ -1,7 +1,7 @@
 //! `sensor_msgs/Image` with a depth image in it: whole numbers of 16 bits, or metres.
 
 use crate::{Reader, Stamped, Undecodable, Writer};
-use conicflow_messages::{MAX_PIXELS, MAX_SIDE_PX, finest_scale, quantise};
+use conicflow_messages::{MAX_PIXELS, MAX_SIDE_PX, finest_scale, is_too_far, quantise};
 
 /// Millimetres, as ROS has depth in whole numbers (REP 118).
 const UNIT_M: f64 = 0.001;
@@ -43,18 +43,32 @@ pub enum Depths {
 }
 
 impl Depths {
-    /// The pixels as depth images travel, and their unit in metres. `depth_scale` is the length of a whole unit, or of one in
-    /// single precision; by custom a millimetre, or a metre.
-    pub fn in_units(self, depth_scale: Option<f64>) -> (Vec<u16>, f64) {
+    /// The pixels as depth images travel. `depth_scale` is the length of a whole unit, or of one in single precision; by custom a
+    /// millimetre, or a metre.
+    pub fn in_units(self, depth_scale: Option<f64>) -> Units {
         match self {
-            Self::Units(pixels) => (pixels, depth_scale.unwrap_or(UNIT_M)),
+            Self::Units(pixels) => Units { pixels, depth_scale: depth_scale.unwrap_or(UNIT_M), too_far: 0 },
             Self::Metres(depths) => {
                 let metres_per_z = depth_scale.unwrap_or(1.0);
                 let scale = finest_scale(&depths, metres_per_z);
-                (depths.iter().map(|&z| quantise(z, metres_per_z / scale)).collect(), scale)
+                let units_per_z = metres_per_z / scale;
+                let too_far = depths.iter().filter(|&&z| is_too_far(z, units_per_z)).count() as u64;
+                let pixels = depths.iter().map(|&z| quantise(z, units_per_z)).collect();
+                Units { pixels, depth_scale: scale, too_far }
             }
         }
     }
+}
+
+/// The pixels of a depth image as such images travel.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Units {
+    /// Row by row, in units of `depth_scale`.
+    pub pixels: Vec<u16>,
+    /// The unit in metres.
+    pub depth_scale: f64,
+    /// How many measurements were left out, because there are not so many units.
+    pub too_far: u64,
 }
 
 /// A `sensor_msgs/Image`.
@@ -235,6 +249,17 @@ mod tests {
         let metres = [0.5, 1.0, 1.5, 2.0, 3.25, 4.0];
         let written = write_metres(STAMPED, (3, 2), metres.into_iter(), written);
         assert_eq!(depths(&written).unwrap(), Depths::Metres(metres.to_vec()));
+    }
+
+    #[test]
+    fn depths_beyond_the_last_unit_are_left_out_and_counted() {
+        let depths = Depths::Metres(vec![1.0, 16.3, 16.5, 2000.0, f32::INFINITY, f32::NAN]);
+        let expected = Units { pixels: vec![4000, 65200, 0, 0, 0, 0], depth_scale: 0.000_25, too_far: 2 };
+        assert_eq!(depths.in_units(None), expected);
+        let millimetres = Depths::Metres(vec![1000.0, 16300.0]).in_units(Some(0.001));
+        assert_eq!(millimetres, Units { pixels: vec![4000, 65200], depth_scale: 0.000_25, too_far: 0 });
+        let units = Units { pixels: vec![1, 65535], depth_scale: 0.001, too_far: 0 };
+        assert_eq!(Depths::Units(units.pixels.clone()).in_units(None), units);
     }
 
     #[test]

@@ -29,7 +29,7 @@ pub use definition::{
     CAMERA_INFO, COMPRESSED_IMAGE, DETECTION_ARRAY, Definition, IMAGE, MARKER_ARRAY, POINT_CLOUD, TF_MESSAGE,
 };
 pub use detections::detections;
-pub use image::{Depths, Encoding, Image, write_metres, write_units};
+pub use image::{Depths, Encoding, Image, Units, write_metres, write_units};
 pub use list::{list_definition, write_list};
 pub use markers::{Marked, Markers, markers};
 pub use point_cloud::PointCloud;

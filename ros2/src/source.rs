@@ -9,12 +9,12 @@ use crate::participant::topic_fault;
 use crate::picture::{Kind, Picture};
 use crate::{Distro, End, Middleware, Participant, Via, Way};
 use conicflow_dataflow::{
-    ConfigFault, Context, Next, Output, SideInputs, Source, StageError, Stop, tell_frame, unix_ns,
+    ConfigFault, Context, EmptyFrames, Next, Output, SideInputs, Source, StageError, Stop, TOO_FAR, tell_frame, unix_ns,
 };
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
 use conicflow_messages::{Camera, Header, Hinted, Text};
-use conicflow_ros::{CAMERA_INFO, Stamped, TF_MESSAGE, Transforms, camera_info_topics};
+use conicflow_ros::{CAMERA_INFO, Stamped, TF_MESSAGE, Transforms, Units, camera_info_topics};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -145,6 +145,7 @@ pub struct Ros2Source<M> {
     /// When the last image came, and whether that it was the last was told.
     heard: (Instant, bool),
     is_told: bool,
+    empty: EmptyFrames,
     stop: Stop,
 }
 
@@ -190,6 +191,7 @@ impl<M: Middleware> Source for Ros2Source<M> {
             notices: Notices::default(),
             heard: (Instant::now(), false),
             is_told: context.resume_at > 0,
+            empty: if context.resume_at > 0 { EmptyFrames::silent() } else { EmptyFrames::default() },
             stop: context.stop.clone(),
         })
     }
@@ -206,7 +208,8 @@ impl<M: Middleware> Source for Ros2Source<M> {
             return Ok(Next::Later);
         };
         match self.frame(&image) {
-            Ok(Some((header, pixels))) => {
+            Ok(Some((header, Units { pixels, too_far, .. }))) => {
+                output.count(TOO_FAR, too_far);
                 output.header = header;
                 output.image(pixels.len())?.copy_from_slice(&pixels);
                 self.look_for_pose(&header, output);
@@ -264,7 +267,7 @@ impl<M: Middleware> Ros2Source<M> {
     }
 
     /// The frame of an image; none while something that tells of it may still come.
-    fn frame(&mut self, image: &Waiting) -> Result<Option<(Header, Vec<u16>)>, Fault> {
+    fn frame(&mut self, image: &Waiting) -> Result<Option<(Header, Units)>, Fault> {
         let topic = self.ends[IMAGES].topic.clone();
         let picture =
             Picture::read(self.kind, &image.message).map_err(|error| unreadable(UNREADABLE, &topic, &error))?;
@@ -282,10 +285,11 @@ impl<M: Middleware> Ros2Source<M> {
         let (size, depths) = picture.depths().map_err(|error| unreadable(UNREADABLE, &topic, &error))?;
         let camera = self.cameras.of(size).map_err(|hinted| (WITHOUT_CAMERA, hinted))?;
         self.check_cloud(&picture, &camera)?;
-        let (pixels, depth_scale) = depths.in_units(self.config.depth_scale);
+        let units = depths.in_units(self.config.depth_scale);
         let noise = self.config.noise.unwrap_or_default().into();
         let source = Text::new(stamped.frame_id);
-        let mut header = Header { camera, depth_scale, noise, stamp_ns, source, ..Header::default() };
+        let mut header =
+            Header { camera, depth_scale: units.depth_scale, noise, stamp_ns, source, ..Header::default() };
         if let Some(pose) = pose {
             header.set_pose(pose);
         }
@@ -295,8 +299,9 @@ impl<M: Middleware> Ros2Source<M> {
                 Hinted::new(error.to_string(), "are the numbers of /tf and of the CameraInfo those of a robot?"),
             )
         })?;
-        self.tell(&header, &pixels);
-        Ok(Some((header, pixels)))
+        self.tell(&header, &units.pixels);
+        self.empty.look(&topic, &units.pixels, units.too_far);
+        Ok(Some((header, units)))
     }
 
     /// Whether the points of a cloud lie where the camera sees its pixels; looked at when the camera is new.

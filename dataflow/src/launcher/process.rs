@@ -397,7 +397,7 @@ fn stage_runtime(
 
 /// What a stage of a plan is told when it starts, before it knows what drives it.
 fn context_of(plan: &Plan, planned: &PlannedStage, stop: Stop) -> Context {
-    Context { stage: planned.name.clone(), base: plan.base.clone(), stop, ..Context::default() }
+    Context { stage: planned.name.clone(), base: plan.base.clone(), run: plan.run, stop, ..Context::default() }
 }
 
 fn system(doing: &str, error: io::Error) -> ProcessError {

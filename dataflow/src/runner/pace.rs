@@ -9,6 +9,8 @@ use std::time::{Duration, Instant};
 const LONGEST_PERIOD_S: f64 = 1e9;
 /// A source that waits looks this often whether something else is wished.
 const LOOK: Duration = Duration::from_millis(20);
+/// A wait for a stamp that is longer is told: whoever looks on may take the run for one that stands still.
+const LONG: Duration = Duration::from_secs(5); // [algorithmic]
 
 /// How a source wants its messages in time.
 #[derive(Clone, Copy, Debug, Default)]
@@ -66,6 +68,9 @@ impl Pace {
         let due = self.due.and_then(|due| due.checked_add(Duration::from_nanos(since_last)));
         let due = due.filter(|due| *due > now).unwrap_or(now);
         (self.due, self.stamp_ns) = (Some(due), stamp_ns);
+        if let Some(told) = long_wait(due.saturating_duration_since(now)) {
+            tracing::warn!("{told}");
+        }
         self.wait_until(due, record, meanwhile);
     }
 
@@ -88,6 +93,14 @@ impl Pace {
             std::thread::sleep(pause);
         }
     }
+}
+
+/// What is said of a wait for the next stamp, if it is long.
+fn long_wait(wait: Duration) -> Option<String> {
+    let what = "later by its stamp, and is waited for";
+    let hint = "did a clock jump while it was recorded? `rate_hz` plays it at a rate, whatever the stamps; 0: at once";
+    let wait_s = wait.as_secs();
+    (wait > LONG).then(|| format!("the next frame is {wait_s} s {what}\n  hint: {hint}"))
 }
 
 /// Notes in the record whether the source stands still, where that is new.
@@ -130,6 +143,14 @@ mod tests {
         assert!(begin.elapsed() >= Duration::from_nanos(39_999_995), "as far apart as the stamps");
         stop.request();
         [u64::MAX, 0, u64::MAX].into_iter().for_each(|stamp_ns| pace.wait_to_send(Some(stamp_ns), &mut record, || ()));
+    }
+
+    #[test]
+    fn a_long_wait_for_a_stamp_is_told() {
+        assert_eq!(long_wait(LONG), None);
+        assert!(
+            long_wait(Duration::from_secs(3600)).unwrap().starts_with("the next frame is 3600 s later by its stamp")
+        );
     }
 
     #[test]

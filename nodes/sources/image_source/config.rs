@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 /// Frames per second by which frames without time stamps are stamped when `rate_hz` is 0.
-pub(super) const USUAL_RATE_HZ: f64 = 30.0;
+pub(crate) const USUAL_RATE_HZ: f64 = 30.0;
 
 /// Parameters of `image_source`.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]

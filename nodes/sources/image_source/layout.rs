@@ -280,6 +280,10 @@ impl Listing {
 
     fn add(&mut self, format: Format, path: PathBuf) {
         let candidate = match format {
+            _ if !path.exists() => {
+                let lost = Hinted::new("a link that leads nowhere", "is the disk there that it leads to?");
+                Candidate { size: Err(lost.into()), path, stamp_ns: None }
+            }
             Format::Png => match depth_png::probe(&path) {
                 Ok(picture @ depth_png::Content::Picture(..)) => return self.add_other(picture.name()),
                 content => {
@@ -352,8 +356,9 @@ pub(super) fn sorted_files(folder: &Path, ending: &str, seen: &mut Seen<'_>) -> 
         let entry = entry?;
         let (name, kind) = (entry.file_name(), entry.file_type()?);
         let text = name.to_string_lossy();
-        // A link is what it leads to.
-        let is_wanted = || kind.is_file() || (kind.is_symlink() && entry.path().is_file());
+        // A link is what it leads to; one that leads nowhere, and is called as a frame, is one that cannot be read.
+        let leads_to_file = |path: &Path| path.metadata().map_or_else(|_| format_of(path).is_some(), |to| to.is_file());
+        let is_wanted = || kind.is_file() || (kind.is_symlink() && leads_to_file(&entry.path()));
         if !text.starts_with('.') && text.ends_with(ending) && is_wanted() {
             names.push(name);
         }

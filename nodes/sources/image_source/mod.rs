@@ -24,6 +24,7 @@ mod tum;
 #[cfg(test)]
 mod fixtures;
 
+pub(crate) use config::USUAL_RATE_HZ;
 pub use config::{Config, PosesConfig};
 pub use playback::Playback;
 pub use recording::Recording;

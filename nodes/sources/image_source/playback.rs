@@ -4,8 +4,8 @@ use super::config::{Config, USUAL_RATE_HZ};
 use super::poses::Poses;
 use super::recording::{Frame, Recording};
 use anyhow::Result;
-use conicflow_dataflow::tell_frame;
-use conicflow_messages::{Camera, HAS_POSE, Header, Hinted, NoiseModel, RECORDED, Text, is_measured};
+use conicflow_dataflow::{EmptyFrames, TOO_FAR, tell_frame};
+use conicflow_messages::{Camera, HAS_POSE, Header, Hinted, NoiseModel, RECORDED, Text};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -13,7 +13,6 @@ use std::path::Path;
 const MAX_OFF_CENTER: f64 = 0.25;
 
 pub(super) const UNREADABLE: &str = "frames unreadable";
-const TOO_FAR: &str = "points too far";
 const WITHOUT_POSE: &str = "frames without pose";
 
 /// Plays a recording back.
@@ -35,8 +34,7 @@ pub struct Playback {
     /// What has been counted since it was asked for last.
     counts: BTreeMap<&'static str, u64>,
     described: bool,
-    /// Whether it was said that a frame has no measurement.
-    pub(super) told_empty: bool,
+    empty: EmptyFrames,
     /// Whether somebody has told the intrinsics, which else are fitted to points.
     tells_camera: bool,
 }
@@ -81,7 +79,7 @@ impl Playback {
             lost: None,
             counts: BTreeMap::from([(UNREADABLE, unreadable.saturating_sub(counted))]),
             described: false,
-            told_empty: false,
+            empty: EmptyFrames::default(),
             tells_camera: recording.tells_camera(),
             poses,
             recording,
@@ -118,7 +116,7 @@ impl Playback {
         self.misses = 0;
         self.sent += 1;
         self.describe(frame, pixels);
-        self.look_for_emptiness(frame, pixels, too_far);
+        self.empty.look(&frame.name, pixels, too_far);
         *self.counts.entry(TOO_FAR).or_default() += too_far;
         let header = self.header(frame, *round);
         let lacks_pose = self.poses.are_known() && header.pose().is_none();
@@ -203,14 +201,6 @@ impl Playback {
         }
     }
 
-    /// Says once that a frame is empty.
-    pub(super) fn look_for_emptiness(&mut self, frame: &Frame, pixels: &[u16], too_far: u64) {
-        if let Some(why) = emptiness(pixels, too_far).filter(|_| !self.told_empty) {
-            self.told_empty = true;
-            tracing::warn!("`{}`: {why}", frame.name);
-        }
-    }
-
     pub(super) fn header(&self, frame: &Frame, round: u64) -> Header {
         let world_from_camera = self.poses.of_frame(frame);
         Header {
@@ -264,23 +254,6 @@ impl Clock {
             None => ((round * self.slots + frame.slot) as f64 * 1e9 / self.rate_hz).round() as u64,
         }
     }
-}
-
-/// Why a frame has no measurement; `None`: it has some. Points in millimetres are too far away.
-pub(super) fn emptiness(pixels: &[u16], too_far: u64) -> Option<String> {
-    if pixels.iter().any(|&pixel| is_measured(pixel)) {
-        return None;
-    }
-    let why = match too_far {
-        0 => "no pixel is measured, all are 0, 65535 or not a number\n  hint: nothing can be found there; was the camera \
-              covered, or too near?"
-            .to_owned(),
-        _ => format!(
-            "all {too_far} points are too far away and left out\n  hint: if they are in millimetres, write `depth_scale = \
-             0.001`, to `conicflow detect` `--scale 0.001`"
-        ),
-    };
-    Some(why)
 }
 
 /// Whether the principal point is farther from the middle of the image than [`MAX_OFF_CENTER`] of its size.

@@ -1,5 +1,5 @@
 use super::fixtures::*;
-use super::playback::{Clock, emptiness, is_off_center};
+use super::playback::{Clock, is_off_center};
 use super::*;
 use conicflow_dataflow::testing::collect;
 use conicflow_detection::camera::Intrinsics;
@@ -213,14 +213,10 @@ fn clouds_in_millimetres_are_told() {
     let folder = Folder::new().cloud("a.pcd", &points);
     let mut source = source(&folder, Config::default(), 0);
     let playback = &mut source;
-    let frame = playback.recording.load(0).unwrap();
+    playback.recording.load(0).unwrap();
     let mut pixels = vec![0; 48 * 36];
     let too_far = playback.recording.decode(&mut pixels).unwrap();
     assert_eq!(too_far, 48 * 36 - 36, "all but the hole");
-    playback.look_for_emptiness(&frame, &[1000], too_far);
-    assert!(!playback.told_empty, "some are measured");
-    playback.look_for_emptiness(&frame, &pixels, too_far);
-    assert!(playback.told_empty);
 }
 
 #[test]
@@ -441,6 +437,19 @@ fn the_header_says_where_the_frame_comes_from() {
 }
 
 #[test]
+fn links_that_lead_nowhere_keep_their_places() {
+    let folder = Folder::new().depth(&["a.png", "d.png"]).file("aa.pose.txt", "");
+    let link = |name: &str| std::os::unix::fs::symlink("/nowhere/frame.png", folder.at(name)).unwrap();
+    ["b.png", "c.png", "b.txt", "b.pose.txt"].into_iter().for_each(link);
+    let mut recording = folder.open_given();
+    assert_eq!(names(&mut recording), ["a.png", "d.png"]);
+    assert_eq!((recording.load(1).unwrap().slot, recording.slots()), (3, 4));
+    let reasons: Vec<_> = recording.unreadable().map(|error| format!("{error:#}")).collect();
+    assert_eq!(reasons.len(), 2);
+    assert!(reasons[0].contains("b.png`: a link that leads nowhere\n  hint: "), "{}", reasons[0]);
+}
+
+#[test]
 fn only_when_no_frame_can_be_read_it_is_an_error() {
     let folder = Folder::new().depth(&["0.png", "1.png"]);
     let mut source = source(&folder, Config::default(), 0);
@@ -493,13 +502,6 @@ fn intrinsics_of_another_resolution_are_seen() {
     assert!(is_off_center(&camera(639.5, 359.5)), "of 1280x720");
     assert!(is_off_center(&camera(159.0, 119.5)), "of 320x240");
     assert!(is_off_center(&camera(319.5, 400.0)));
-}
-
-#[test]
-fn a_frame_without_a_measurement_is_told() {
-    assert_eq!(emptiness(&[0, 1200, 65535], 0), None);
-    assert!(emptiness(&[0, 0, 65535], 0).unwrap().starts_with("no pixel is measured"));
-    assert!(emptiness(&[0, 65535], 2).unwrap().starts_with("all 2 points are too far away"));
 }
 
 /// The camera at (x, 2, 3), looking along the world's x with z upwards.

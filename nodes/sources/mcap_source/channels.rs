@@ -1,7 +1,7 @@
 //! Which channels of a recording are played back: the depth images with what tells their camera, or a list of ours.
 
 use super::config::Config;
-use crate::recording::files::Seen;
+use crate::recording::files::{Files, Seen};
 use crate::recording::own;
 use crate::sources::WrittenIn;
 use anyhow::{Context as _, Result, bail, ensure};
@@ -16,6 +16,8 @@ use conicflow_ros::{
 const CDR: &str = "cdr";
 /// What the recordings of ROS 1 are encoded in.
 const ROS1: &str = "ros1";
+/// So many messages of a topic are looked at for one that can be used: those of the seconds in which a driver starts.
+const MOST_LOOKED_AT: usize = 300; // [algorithmic]
 /// What to do where the recording does not tell the camera.
 fn write_intrinsics(written_in: WrittenIn) -> String {
     format!("write `{}` with the numbers of your camera", written_in.intrinsics([".."; 4]))
@@ -28,16 +30,16 @@ pub(super) enum Chosen {
     Items { topic: String },
     /// Images whose headers conicflow recorded beside them.
     OwnImages { topic: String, headers: String },
-    /// Images of another program.
-    Images { topic: String, is_compressed: bool, camera: Camera },
+    /// Images of another program, with the camera of the first, and the topic that tells another one where it changes.
+    Images { topic: String, is_compressed: bool, camera: Camera, info: Option<String> },
 }
 
 impl Chosen {
-    /// Chooses what fits `item` and what the parameters say.
+    /// Chooses what fits `item` and what the parameters say, of the channels of these files.
     ///
     /// # Errors
     /// Nothing does, or several do, or the camera is not known.
-    pub(super) fn of(channels: &[Seen], config: &Config, item: &ItemType) -> Result<Self> {
+    pub(super) fn of(files: &Files, channels: &[Seen], config: &Config, item: &ItemType) -> Result<Self> {
         let own = |channel: &&Seen| is_own(channel, item);
         if !item.is_image() {
             let fitting: Vec<_> = channels.iter().filter(own).collect();
@@ -46,6 +48,7 @@ impl Chosen {
                 .with_context(|| format!("the messages of `{}`", chosen.channel.topic))?;
             return Ok(Self::Items { topic: chosen.channel.topic.clone() });
         }
+        let channels = &channels.iter().map(|channel| with_readable_image(files, channel)).collect::<Vec<_>>()[..];
         let fitting: Vec<_> = channels.iter().filter(|channel| is_depth(channel, config.topic.as_deref())).collect();
         let is_named = fitting.iter().any(|channel| Some(&channel.channel.topic) == config.topic.as_ref());
         let fitting = if is_named { fitting } else { without_doubles(&fitting) };
@@ -57,9 +60,31 @@ impl Chosen {
             own::check_schema(own_schema(headers), item).with_context(|| format!("the headers of `{topic}`"))?;
             return Ok(Self::OwnImages { topic, headers: headers.channel.topic.clone() });
         }
-        let camera = camera(channels, chosen, config)?;
-        Ok(Self::Images { topic, is_compressed: is(chosen, COMPRESSED_IMAGE.name), camera })
+        let (camera, info) = camera(files, channels, chosen, config)?;
+        Ok(Self::Images { topic, is_compressed: is(chosen, COMPRESSED_IMAGE.name), camera, info })
     }
+}
+
+/// What `read` makes of the first message of a channel that it can read; where it can read none, what is wrong with the very first.
+fn first_readable<T>(files: &Files, channel: &Seen, read: impl Fn(&[u8]) -> Result<T>) -> Result<T> {
+    read(&channel.first).or_else(|error| {
+        let messages = files.messages_again(&[&channel.channel.topic]).map_while(Result::ok);
+        messages.take(MOST_LOOKED_AT).find_map(|message| read(&message.data).ok()).ok_or(error)
+    })
+}
+
+/// A channel with the first of its images of which it can be told what they are.
+fn with_readable_image(files: &Files, channel: &Seen) -> Seen {
+    let read = |message: &[u8]| {
+        if is(channel, COMPRESSED_IMAGE.name) {
+            CompressedImage::read(message)?;
+        } else if is(channel, IMAGE.name) {
+            Image::encoding_of(message)?;
+        }
+        Ok(message.to_vec())
+    };
+    let first = first_readable(files, channel, read);
+    Seen { first: first.unwrap_or_else(|_| channel.first.clone()), ..channel.clone() }
 }
 
 /// Whether conicflow has recorded such items, in whatever version.
@@ -186,12 +211,13 @@ fn kind_of_image(channel: &Seen) -> String {
     }
 }
 
-/// The camera of the images: by the parameters, or by the CameraInfo beside them.
-fn camera(channels: &[Seen], images: &Seen, config: &Config) -> Result<Camera> {
+/// The camera of the images: by the parameters, or by the CameraInfo beside them, whose topic is told, too.
+fn camera(files: &Files, channels: &[Seen], images: &Seen, config: &Config) -> Result<(Camera, Option<String>)> {
     let topic = &images.channel.topic;
-    let size = size_of(images).with_context(|| format!("the first image of `{topic}`"))?;
+    let size = first_readable(files, images, |message| size_of(images, message));
+    let size = size.with_context(|| format!("the first image of `{topic}`"))?;
     if let Some(intrinsics) = config.intrinsics {
-        return Ok(intrinsics.camera(size));
+        return Ok((intrinsics.camera(size), None));
     }
     let infos: Vec<_> = channels.iter().filter(|channel| is(channel, CAMERA_INFO.name)).collect();
     let beside = camera_info_topics(topic);
@@ -209,40 +235,59 @@ fn camera(channels: &[Seen], images: &Seen, config: &Config) -> Result<Camera> {
         }
     };
     let name = &info.channel.topic;
-    let read = CameraInfo::read(&info.first).with_context(|| format!("the first message of `{name}`"))?;
-    if let Err((width, height)) = read.fits(size) {
+    let read = first_readable(files, info, |message| read_info(name, message, config.written_in))?;
+    let mut rectified =
+        channels.iter().filter(|channel| is_depth(channel, None) && is_rectified(&channel.channel.topic));
+    let rectified = rectified.next().map(|channel| channel.channel.topic.as_str());
+    Ok((camera_by((name, &read), topic, size, rectified, config.written_in)?, Some(name.clone())))
+}
+
+/// What a message of the topic `name` tells of a camera.
+pub(super) fn read_info(name: &str, message: &[u8], written_in: WrittenIn) -> Result<CameraInfo> {
+    let info = CameraInfo::read(message).with_context(|| format!("a message of `{name}`"))?;
+    ensure!(info.is_calibrated(), uncalibrated(name, written_in));
+    Ok(info)
+}
+
+/// The camera of images of a topic and of this size, by what the topic `name` tells of it; `rectified` is another topic of images,
+/// for a hint.
+pub(super) fn camera_by(
+    (name, info): (&str, &CameraInfo),
+    topic: &str,
+    size: (u32, u32),
+    rectified: Option<&str>,
+    written_in: WrittenIn,
+) -> Result<Camera> {
+    if let Err((width, height)) = info.fits(size) {
         bail!(Hinted::new(
             format!("`{name}` is for images of {width}x{height}, those of `{topic}` have {}x{}", size.0, size.1),
-            format!("intrinsics scale with the image; {} of these", write_intrinsics(config.written_in))
+            format!("intrinsics scale with the image; {} of these", write_intrinsics(written_in))
         ));
     }
-    let camera = read.camera(size, is_rectified(topic)).map_err(|unrectified| {
-        let others = channels.iter().filter(|channel| is_depth(channel, None) && is_rectified(&channel.channel.topic));
-        let hint =
-            others.map(|other| format!("`{}` is rectified", config.written_in.topic(&other.channel.topic))).next();
-        let hint = hint.unwrap_or_else(|| "rectify them by image_proc of ROS, and record that topic".to_owned());
+    let camera = info.camera(size, is_rectified(topic)).map_err(|unrectified| {
+        let hint = rectified.map_or_else(
+            || "rectify them by image_proc of ROS, and record that topic".to_owned(),
+            |rectified| format!("`{}` is rectified", written_in.topic(rectified)),
+        );
         let distortion = unrectified.distortion;
         let what = format!(
             "the images of `{topic}` are distorted (`{name}`: {distortion:?}), expected those of a pinhole camera"
         );
         Hinted::new(what, hint)
     })?;
-    let is_usable = [camera.fx, camera.fy].iter().all(|focal| (1.0..f64::INFINITY).contains(focal));
-    ensure!(
-        is_usable && camera.cx.is_finite() && camera.cy.is_finite(),
-        Hinted::new(
-            format!("`{name}` has no intrinsics: the camera was not calibrated"),
-            write_intrinsics(config.written_in)
-        )
-    );
+    ensure!(camera.has_intrinsics(), uncalibrated(name, written_in));
     Ok(camera)
 }
 
-/// Width and height of the first image.
-fn size_of(images: &Seen) -> Result<(u32, u32)> {
+fn uncalibrated(name: &str, written_in: WrittenIn) -> Hinted {
+    Hinted::new(format!("`{name}` has no intrinsics: the camera was not calibrated"), write_intrinsics(written_in))
+}
+
+/// Width and height of an image of a channel.
+fn size_of(images: &Seen, message: &[u8]) -> Result<(u32, u32)> {
     if is(images, COMPRESSED_IMAGE.name) {
-        return Ok(CompressedImage::read(&images.first)?.depths()?.0);
+        return Ok(CompressedImage::read(message)?.depths()?.0);
     }
-    let image = Image::read(&images.first)?;
+    let image = Image::read(message)?;
     Ok((image.width, image.height))
 }

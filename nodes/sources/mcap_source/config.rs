@@ -75,14 +75,20 @@ impl Config {
         files.into_iter().map(|file| FileUse::one(key, file)).chain(those_that_come).collect()
     }
 
+    /// Whether not all of the recording is played.
+    pub(super) fn is_part(&self) -> bool {
+        self.from_s > 0.0 || self.to_s.is_some()
+    }
+
     /// Why the images of a recording cannot be played, as far as that is known at once: where its files tell what they have, and
     /// nothing but images can be meant.
     fn unplayable(&self, path: &Path) -> Option<ConfigFault> {
-        let channels = Files::find(path).ok()?.survey_of_complete()?;
+        let files = Files::find(path).ok()?;
+        let channels = files.survey_of_complete()?;
         if has_other_own(&channels, &DEPTH) {
             return None;
         }
-        let error = Chosen::of(&channels, self, &DEPTH).err()?;
+        let error = Chosen::of(&files, &channels, self, &DEPTH).err()?;
         let hint = error.chain().find_map(|cause| cause.downcast_ref::<Hinted>())?;
         Some(ConfigFault::new("topic", &hint.what, &hint.hint))
     }

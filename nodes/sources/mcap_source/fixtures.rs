@@ -140,10 +140,12 @@ pub(super) fn replayed(header: Header) -> Header {
     Header { hop_count: 0, hops: Default::default(), ..header }
 }
 
+/// The run that records.
+pub(super) const RUN: u64 = 7;
 pub(super) const ANY: [u16; 12] = [0, 1, 2, 65534, 65535, 1000, 0x1234, 30_000, 7, 65535, 0, 9];
 
 pub(super) fn record(path: &Path, limits: Limits, depth_scale: f64, frames: std::ops::Range<u64>) -> Recorded {
-    let recorder = Recorder::create(path, limits, false).unwrap();
+    let recorder = Recorder::create(path, limits, RUN, false).unwrap();
     let objects = [Object { radius: 0.1, ..Object::default() }; 2];
     let mut last = Recorded::Written;
     for number in frames {

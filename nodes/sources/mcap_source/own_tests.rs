@@ -6,7 +6,10 @@ use super::*;
 use crate::recording::files::Files;
 use crate::recording::own;
 use crate::recording::recorder::{Limits, Recorded, Recorder, file_at};
-use conicflow_dataflow::{AnyMessage, BUILT_IN};
+use crate::sinks::mcap_sink::{self, McapSink};
+use conicflow_dataflow::ports::Delivery;
+use conicflow_dataflow::testing::step;
+use conicflow_dataflow::{AnyMessage, BUILT_IN, Context, SideInputs, Stage};
 use conicflow_messages::Object;
 use mcap::records::MessageHeader;
 use std::collections::{BTreeMap, BTreeSet};
@@ -66,7 +69,7 @@ fn a_file_that_goes_or_becomes_shorter_while_it_is_played_is_an_error_that_lasts
 fn what_a_killed_recorder_has_written_is_there_after_a_second() {
     let place = tempfile::tempdir().unwrap();
     let path = place.path().join("run.mcap");
-    let recorder = Recorder::create(&path, Limits::default(), false).unwrap();
+    let recorder = Recorder::create(&path, Limits::default(), RUN, false).unwrap();
     let header = header(0, 0.001);
     let depth = AnyMessage { header: &header, item: &BUILT_IN[0], bytes: bytemuck::cast_slice(&ANY) };
     recorder.write("depth", &depth, None).unwrap();
@@ -125,9 +128,9 @@ fn a_new_recording_of_several_files_takes_the_place_of_an_earlier_one_and_a_rest
     }
     assert_eq!(file_at(&path, &split), Some(place.path().join("run_7.mcap")));
     assert_eq!(file_at(&path, &Limits::default()), None, "it has one file");
-    drop(Recorder::create(&path, split, true).unwrap());
+    drop(Recorder::create(&path, split, RUN, true).unwrap());
     assert_eq!(names(), of(&["run_7.mcap", "run_12.mcap"]), "nothing came of it");
-    let recorder = Recorder::create(&path, split, true).unwrap();
+    let recorder = Recorder::create(&path, split, RUN, true).unwrap();
     assert!(place.path().join("run_13.mcap").is_file());
     recorder.finish().unwrap();
     record(&path, Limits::default(), 0.001, 0..2);
@@ -136,7 +139,8 @@ fn a_new_recording_of_several_files_takes_the_place_of_an_earlier_one_and_a_rest
     assert_eq!(names(), of(&["run.mcap"]));
     let wrong = place.path().join("run_5.mcap");
     fs::create_dir(&wrong).unwrap();
-    let told = Recorder::create(&path, split, false).map(drop).unwrap_err().to_string();
+    let recorder = Recorder::create(&path, split, RUN, false).unwrap();
+    let told = write_one(&recorder).unwrap_err().to_string();
     assert!(told.starts_with(&format!("cannot write the recording `{}`: ", path.display())), "{told}");
 }
 
@@ -148,16 +152,82 @@ fn a_restart_records_beside_what_was_recorded() {
     let header = header(2, 0.001);
     let message = AnyMessage { header: &header, item: &BUILT_IN[0], bytes: bytemuck::cast_slice(&ANY) };
     for _ in 0..2 {
-        let recorder = Recorder::create(&path, Limits::default(), true).unwrap();
+        let recorder = Recorder::create(&path, Limits::default(), RUN, true).unwrap();
         recorder.write("depth", &message, None).unwrap();
     }
-    drop(Recorder::create(&path, Limits::default(), true).unwrap());
+    drop(Recorder::create(&path, Limits::default(), RUN, true).unwrap());
     let length = |name: &str| fs::metadata(place.path().join(name)).map_or(0, |about| about.len());
     assert!(length("run_1.mcap") > 1000 && length("run_2.mcap") == length("run_1.mcap"));
     assert!(!place.path().join("run_3.mcap").exists(), "of what was made on trial nothing is left");
     assert!(fs::metadata(&path).unwrap().len() > 1000, "it is left as it was");
-    drop(Recorder::create(&path, Limits::default(), false).unwrap());
-    assert!(fs::metadata(&path).unwrap().len() < 1000, "a new run begins anew");
+    let length = || fs::metadata(&path).unwrap().len();
+    let earlier = length();
+    let recorder = Recorder::create(&path, Limits::default(), RUN + 1, false).unwrap();
+    assert_eq!(recorder.finish().unwrap(), 0);
+    drop(recorder);
+    assert_eq!(length(), earlier, "nothing came");
+    let recorder = Recorder::create(&path, Limits::default(), RUN + 1, false).unwrap();
+    write_one(&recorder).unwrap();
+    assert!(length() < 1000, "a new run begins anew");
+    assert_eq!(recorder.finish().unwrap(), length());
+}
+
+/// Writes a depth image.
+fn write_one(recorder: &Recorder) -> anyhow::Result<Recorded> {
+    let header = header(2, 0.001);
+    let message = AnyMessage { header: &header, item: &BUILT_IN[0], bytes: bytemuck::cast_slice(&ANY) };
+    recorder.write("depth", &message, None)
+}
+
+#[test]
+fn an_empty_recording_is_one_where_there_was_none_and_nothing_is_left_of_one_that_was_not_finished() {
+    let place = tempfile::tempdir().unwrap();
+    let path = place.path().join("run.mcap");
+    drop(Recorder::create(&path, Limits::default(), RUN, false).unwrap());
+    assert!(!path.exists());
+    Recorder::create(&path, Limits::default(), RUN, false).unwrap().finish().unwrap();
+    assert!(Files::find(&path).unwrap().survey_of_complete().unwrap().is_empty());
+}
+
+#[test]
+fn a_restart_counts_and_removes_only_what_its_own_run_has_recorded() {
+    let place = tempfile::tempdir().unwrap();
+    let path = place.path().join("run.mcap");
+    let file = |name: &str| place.path().join(name);
+    record(&path, Limits::default(), 0.001, 0..30);
+    fs::rename(&path, file("run_1.mcap")).unwrap();
+    fs::write(file("run_4.mcap"), "of another program").unwrap();
+    let other = Recorder::create(&path, Limits::default(), RUN + 1, false).unwrap();
+    write_one(&other).unwrap();
+    let own = other.finish().unwrap();
+    let length = |name: &str| fs::metadata(file(name)).map_or(0, |about| about.len());
+    let limits = |total| Limits { total_bytes: Some(total), ..Limits::default() };
+    assert!(own < length("run_1.mcap"));
+    let restart = Recorder::create(&path, limits(own + length("run_1.mcap")), RUN + 1, true).unwrap();
+    assert_eq!(write_one(&restart).unwrap(), Recorded::Written);
+    assert_eq!(restart.finish().unwrap(), 2 * own);
+    assert_eq!(length("run_5.mcap"), own);
+    // Beyond the limit with its own files alone: the oldest of these goes.
+    let restart = Recorder::create(&path, limits(2 * own), RUN + 1, true).unwrap();
+    assert_eq!(write_one(&restart).unwrap(), Recorded::Written);
+    assert!(!path.exists() && length("run_1.mcap") > own && length("run_4.mcap") > 0 && length("run_5.mcap") == own);
+}
+
+#[test]
+fn what_a_lossless_sink_has_taken_is_in_the_file() {
+    let place = tempfile::tempdir().unwrap();
+    let config = || mcap_sink::Config { path: Some("run.mcap".into()), ..mcap_sink::Config::default() };
+    let frames = |delivery| {
+        let (base, delivery) = (place.path().to_owned(), Some(delivery));
+        let mut sink = McapSink::<u16>::new(config(), &Context { base, delivery, ..Context::default() }).unwrap();
+        let counts = (0..3).map(|number| {
+            step(&mut sink, &(header(number, 0.001), ANY.to_vec()), &SideInputs::default()).unwrap();
+            let copy = Place::of(&fs::read(place.path().join("run.mcap")).unwrap());
+            copy.play(Config::default()).map_or(0, |frames| frames.len())
+        });
+        counts.collect::<Vec<_>>()
+    };
+    assert_eq!(frames(Delivery::Lossless), [1, 2, 3]);
 }
 
 #[test]
@@ -165,7 +235,7 @@ fn what_cannot_be_written_is_told() {
     let place = tempfile::tempdir().unwrap();
     fs::write(place.path().join("file"), "").unwrap();
     let told = |path: &Path| {
-        let written = Recorder::create(path, Limits::default(), false).and_then(|recorder| {
+        let written = Recorder::create(path, Limits::default(), RUN, false).and_then(|recorder| {
             let header = header(0, 0.001);
             recorder.write(
                 "depth",

@@ -1,20 +1,25 @@
 //! The messages of a recording one by one, with the headers that they had, or those that their camera gives them.
 
-use super::channels::Chosen;
+use super::channels::{Chosen, camera_by, read_info};
 use super::config::Config;
 use crate::recording::files::{Files, Messages, Seen};
 use crate::recording::own;
-use anyhow::{Context as _, Result, bail, ensure};
-use conicflow_dataflow::{ItemType, Stop, tell_frame};
+use crate::sources::image_source::USUAL_RATE_HZ;
+use anyhow::{Context as _, Error, Result, bail, ensure};
+use conicflow_dataflow::{EmptyFrames, ItemType, Stop, TOO_FAR, tell_frame};
 use conicflow_messages::{Camera, Header, Hinted, Hop, INVALID_FAR, INVALID_NEAR, Item, MAX_HOPS, RECORDED, Text};
-use conicflow_ros::{CompressedImage, Depths, Image, Stamped, TF_MESSAGE, Transforms};
+use conicflow_ros::{CameraInfo, CompressedImage, Depths, Image, Stamped, TF_MESSAGE, Transforms, Units};
 use mcap::Message;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 const DAMAGED: &str = "damaged places";
 const UNREADABLE: &str = "frames unreadable";
+const INFOS_UNREADABLE: &str = "CameraInfo unreadable";
+const TRANSFORMS_UNREADABLE: &str = "transforms unreadable";
 const WITHOUT_POSE: &str = "frames without pose";
+/// A frame that is repeated alone comes after so long.
+const USUAL_PERIOD_NS: u64 = (1e9 / USUAL_RATE_HZ) as u64;
 
 /// A message of a recording.
 #[derive(Clone, Debug)]
@@ -41,12 +46,17 @@ pub struct Replay {
     item: ItemType,
     config: Config,
     transforms: Option<Transforms>,
+    /// What was told last of the camera while the recording was played.
+    info: Option<CameraInfo>,
     messages: Messages,
     /// The header that was read last, of images that have theirs in another channel.
     header: Option<Header>,
     round: Round,
     counts: BTreeMap<&'static str, u64>,
+    /// Sorts of messages that cannot be used of which it was said why.
+    told: BTreeSet<&'static str>,
     is_told: bool,
+    empty: EmptyFrames,
 }
 
 /// Where in a recording, and in which repetition of it.
@@ -57,9 +67,9 @@ struct Round {
     /// What is added to stamps and numbers in this round.
     stamp_ns: u64,
     sequence: u64,
-    /// Stamps and numbers that were sent: the first, the last, and how many.
-    first: Option<(u64, u64)>,
-    last: (u64, u64),
+    /// Stamps and numbers that were sent: the least and the largest of each, and how many.
+    least: Option<(u64, u64)>,
+    most: (u64, u64),
     sent: u64,
 }
 
@@ -82,33 +92,70 @@ impl Replay {
         let path = base.join(path);
         let files = Files::find(&path)?.of_stage(stop);
         let channels = files.survey()?;
-        let chosen = Chosen::of(&channels, config, item).with_context(|| format!("`{}`", path.display()))?;
-        let transforms = config.world.as_deref().map(|world| transforms(&files, &channels, world)).transpose()?;
+        let chosen = Chosen::of(&files, &channels, config, item).with_context(|| format!("`{}`", path.display()))?;
         let mut replay = Self {
             messages: files.messages(&chosen.topics()),
             files,
             chosen,
             item: item.clone(),
             config: config.clone(),
-            transforms,
+            transforms: None,
+            info: None,
             header: None,
             round: Round::default(),
             counts: BTreeMap::new(),
+            told: BTreeSet::new(),
             is_told: resume_at > 0,
+            empty: if resume_at > 0 { EmptyFrames::silent() } else { EmptyFrames::default() },
         };
+        if config.is_part() {
+            let first = replay.files.messages_again(&[replay.chosen.topics()[0]]).next().transpose()?;
+            replay.round.begin_ns = first.map(|message| message.log_time);
+            replay.messages = replay.part(replay.files.messages(&replay.chosen.topics()));
+        }
         for _ in 0..resume_at {
             if replay.next_message()?.is_none() {
                 break;
             }
         }
+        // An earlier process has counted what came before.
         replay.counts.clear();
+        if let Some(world) = &config.world {
+            replay.learn_transforms(&channels, world, resume_at == 0)?;
+        }
         Ok(replay)
+    }
+
+    /// Takes in all that is told of frames of coordinates, in which `world` has to be one; what makes no sense is counted where that
+    /// was not done before.
+    fn learn_transforms(&mut self, channels: &[Seen], world: &str, is_counted: bool) -> Result<()> {
+        let of_transforms = channels.iter().filter(|channel| channel.schema() == TF_MESSAGE.name);
+        let topics: Vec<_> = of_transforms.map(|channel| channel.channel.topic.as_str()).collect();
+        let mut transforms = Transforms::default();
+        for message in self.files.messages_again(&topics) {
+            let message = message?;
+            let topic = &message.channel.topic;
+            if let Err(error) = transforms.add(&message.data, topic.ends_with("tf_static"))
+                && is_counted
+            {
+                self.pass_over(topic, TRANSFORMS_UNREADABLE, &error.into());
+            }
+        }
+        let names = transforms.names();
+        if !names.contains(world.trim_start_matches('/')) {
+            let there: Vec<_> = names.into_iter().map(|name| format!("`{name}`")).collect();
+            let there = if there.is_empty() { "nothing tells of any".to_owned() } else { there.join(", ") };
+            let what = format!("`world`: the recording has no frame `{world}`");
+            bail!(Hinted::new(what, format!("frames: {there}")));
+        }
+        self.transforms = Some(transforms);
+        Ok(())
     }
 
     /// The same, which does not say what its images are like.
     #[must_use]
     pub fn silent(self) -> Self {
-        Self { is_told: true, ..self }
+        Self { is_told: true, empty: EmptyFrames::silent(), ..self }
     }
 
     /// What is sent.
@@ -136,7 +183,7 @@ impl Replay {
 
     /// Goes to the first message that was written at `from_ns` or later.
     pub fn seek(&mut self, from_ns: u64) {
-        self.messages = self.files.messages_from(&self.chosen.topics(), from_ns);
+        self.messages = self.files.messages_again(&self.chosen.topics()).between(from_ns, None);
         self.header = None;
     }
 
@@ -159,46 +206,67 @@ impl Replay {
                 }
                 return Ok(None);
             };
+            let topic = &message.channel.topic;
+            if self.chosen.info() == Some(topic) {
+                match read_info(topic, &message.data, self.config.written_in) {
+                    Ok(info) => self.info = Some(info),
+                    Err(error) => self.pass_over(topic, INFOS_UNREADABLE, &error),
+                }
+                continue;
+            }
             if !self.is_in_time(&message) {
                 continue;
             }
             match self.decode(&message) {
                 Ok(Some(replayed)) => return Ok(Some(self.in_round(replayed))),
                 Ok(None) => {}
-                Err(error) => {
-                    let topic = &message.channel.topic;
-                    if !self.counts.contains_key(UNREADABLE) {
-                        tracing::warn!("passed over a message of `{topic}`: {error:#}");
-                    }
-                    *self.counts.entry(UNREADABLE).or_default() += 1;
-                }
+                Err(error) => self.pass_over(topic, UNREADABLE, &error),
             }
         }
     }
 
+    /// Counts a message that cannot be used, and says why of the first of its sort.
+    fn pass_over(&mut self, topic: &str, sort: &'static str, error: &Error) {
+        if self.told.insert(sort) {
+            tracing::warn!("passed over a message of `{topic}`, more of that is counted as `{sort}`: {error:#}");
+        }
+        *self.counts.entry(sort).or_default() += 1;
+    }
+
     /// Starts from the beginning where that is wanted; it is an error where no message could be read.
     fn begins_again(&mut self) -> Result<bool> {
-        let Round { first, last, sent, begin_ns, .. } = self.round;
-        let Some((stamp_ns, sequence)) = first else {
-            let topics = self.chosen.topics().join("` or `");
+        let Round { least, most, sent, begin_ns, .. } = self.round;
+        let Some((stamp_ns, sequence)) = least else {
+            let topic = self.chosen.topics()[0];
             bail!(Hinted::lasting(
-                format!("none of the messages of `{topics}` can be read, or is between `from_s` and `to_s`"),
+                format!("none of the messages of `{topic}` can be read, or is between `from_s` and `to_s`"),
                 "look at the recording with another program, such as `mcap info`"
             ));
         };
         if !self.config.repeat {
             return Ok(false);
         }
-        // As long after the last message as messages are apart.
-        let span = last.0.saturating_sub(stamp_ns);
+        // As long after the last message as messages are apart, whose stamps need not rise, or differ.
+        let span_ns = most.0 - stamp_ns;
+        let period_ns = if span_ns > 0 { span_ns / (sent - 1).max(1) } else { USUAL_PERIOD_NS };
         self.round = Round {
             begin_ns,
-            stamp_ns: self.round.stamp_ns.saturating_add(span + span / (sent - 1).max(1)),
-            sequence: self.round.sequence.saturating_add(last.1.saturating_sub(sequence) + 1),
+            stamp_ns: self.round.stamp_ns.saturating_add(span_ns).saturating_add(period_ns),
+            sequence: self.round.sequence.saturating_add((most.1 - sequence).saturating_add(1)),
             ..Round::default()
         };
-        self.messages = self.files.messages_again(&self.chosen.topics());
+        self.info = None;
+        self.messages = self.part(self.files.messages_again(&self.chosen.topics()));
         Ok(true)
+    }
+
+    /// Those of some messages that are between `from_s` and `to_s`, or a little more.
+    fn part(&self, messages: Messages) -> Messages {
+        let Some(begin_ns) = self.round.begin_ns.filter(|_| self.config.is_part()) else { return messages };
+        let after = |seconds: f64| begin_ns.saturating_add((seconds * 1e9).ceil() as u64);
+        let Config { from_s, to_s, .. } = self.config;
+        let from_ns = if from_s > 0.0 { after(from_s).saturating_sub(1) } else { 0 };
+        messages.between(from_ns, to_s.map(|to_s| after(to_s).saturating_add(1)))
     }
 
     fn is_in_time(&mut self, message: &Message) -> bool {
@@ -211,8 +279,10 @@ impl Replay {
     fn in_round(&mut self, mut replayed: Replayed) -> Replayed {
         let header = &mut replayed.header;
         let now = (header.stamp_ns, header.sequence);
-        self.round.first.get_or_insert(now);
-        (self.round.last, self.round.sent) = (now, self.round.sent + 1);
+        let (least, most) = (self.round.least.unwrap_or(now), self.round.most);
+        self.round.least = Some((least.0.min(now.0), least.1.min(now.1)));
+        self.round.most = (most.0.max(now.0), most.1.max(now.1));
+        self.round.sent += 1;
         header.stamp_ns = header.stamp_ns.saturating_add(self.round.stamp_ns);
         header.sequence = header.sequence.saturating_add(self.round.sequence);
         replayed
@@ -256,8 +326,8 @@ impl Replay {
         Ok(Replayed { header, written_ns: message.log_time, items })
     }
 
-    /// An image of another program.
-    fn image(&mut self, message: &Message, is_compressed: bool, camera: Camera) -> Result<Replayed> {
+    /// An image of another program, whose camera is that of the first image, unless another one was told since.
+    fn image(&mut self, message: &Message, is_compressed: bool, first: Camera) -> Result<Replayed> {
         let (stamped, size, depths) = if is_compressed {
             let image = CompressedImage::read(&message.data)?;
             let (size, depths) = image.depths()?;
@@ -266,9 +336,15 @@ impl Replay {
             let image = Image::read(&message.data)?;
             (image.stamped, (image.width, image.height), image.depths()?)
         };
+        let camera = match (&self.info, self.chosen.info()) {
+            (Some(info), Some(name)) => {
+                camera_by((name, info), &message.channel.topic, size, None, self.config.written_in)?
+            }
+            _ => first,
+        };
         let expected = (camera.width, camera.height);
         ensure!(size == expected, "{}x{} pixels, expected {}x{}", size.0, size.1, expected.0, expected.1);
-        let (pixels, depth_scale) = depths.in_units(self.config.depth_scale);
+        let Units { pixels, depth_scale, too_far } = depths.in_units(self.config.depth_scale);
         // A driver that knows no time leaves it at zero.
         let stamp_ns = if stamped.stamp_ns > 0 { stamped.stamp_ns } else { message.log_time };
         let noise = self.config.noise.unwrap_or_default().into();
@@ -278,6 +354,7 @@ impl Replay {
         self.place(&mut header, &Stamped { stamp_ns, ..stamped });
         let items = bytemuck::cast_slice(&pixels).to_vec();
         self.item.check(&header, &items)?;
+        self.count_too_far(&message.channel.topic, &pixels, too_far);
         Ok(Replayed { header, written_ns: message.log_time, items })
     }
 
@@ -288,6 +365,14 @@ impl Replay {
             Some(pose) => header.set_pose(pose),
             None => *self.counts.entry(WITHOUT_POSE).or_default() += 1,
         }
+    }
+
+    /// Counts what was left out of an image as too far, and says where nothing is left of it, or nothing was there.
+    fn count_too_far(&mut self, topic: &str, pixels: &[u16], too_far: u64) {
+        if too_far > 0 {
+            *self.counts.entry(TOO_FAR).or_default() += too_far;
+        }
+        self.empty.look(topic, pixels, too_far);
     }
 
     /// Says once what the images are like, so that a wrong scale is seen.
@@ -303,34 +388,16 @@ impl Chosen {
     /// The topics that are read.
     fn topics(&self) -> Vec<&str> {
         match self {
-            Self::Items { topic } | Self::Images { topic, .. } => vec![topic],
+            Self::Items { topic } => vec![topic],
             Self::OwnImages { topic, headers } => vec![topic, headers],
+            Self::Images { topic, info, .. } => std::iter::once(topic).chain(info).map(String::as_str).collect(),
         }
     }
-}
 
-/// All that is told of frames of coordinates, in which `world` has to be one.
-fn transforms(files: &Files, channels: &[Seen], world: &str) -> Result<Transforms> {
-    let topics: Vec<_> = channels
-        .iter()
-        .filter(|channel| channel.schema() == TF_MESSAGE.name)
-        .map(|channel| channel.channel.topic.as_str())
-        .collect();
-    let mut transforms = Transforms::default();
-    for message in files.messages_again(&topics) {
-        let message = message?;
-        let topic = &message.channel.topic;
-        let is_fixed = topic.ends_with("tf_static");
-        transforms.add(&message.data, is_fixed).with_context(|| format!("a message of `{topic}`"))?;
+    /// The topic that tells the camera of images of another program.
+    fn info(&self) -> Option<&String> {
+        if let Self::Images { info, .. } = self { info.as_ref() } else { None }
     }
-    let names = transforms.names();
-    if !names.contains(world.trim_start_matches('/')) {
-        let there: Vec<_> = names.into_iter().map(|name| format!("`{name}`")).collect();
-        let there = if there.is_empty() { "nothing tells of any".to_owned() } else { there.join(", ") };
-        let what = format!("`world`: the recording has no frame `{world}`");
-        bail!(Hinted::new(what, format!("frames: {there}")));
-    }
-    Ok(transforms)
 }
 
 /// The bytes of pixels that `mcap_sink` has written: the same that it was given.

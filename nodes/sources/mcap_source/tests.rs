@@ -6,9 +6,10 @@ use crate::recording::recorder::Limits;
 use crate::sources::WrittenIn;
 use conicflow_dataflow::Stop;
 use conicflow_detection::camera::Intrinsics;
-use conicflow_messages::{HAS_POSE, Header, NoiseModel, RECORDED, Text};
+use conicflow_messages::{Camera, HAS_POSE, Header, NoiseModel, RECORDED, Text};
 use conicflow_ros::{
-    CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, Stamped, TF_MESSAGE, Writer, write_metres, write_transform, write_units,
+    CAMERA_INFO, COMPRESSED_IMAGE, CameraInfo, IMAGE, Stamped, TF_MESSAGE, Writer, write_metres, write_transform,
+    write_units,
 };
 use mcap::Compression;
 use std::fs;
@@ -217,6 +218,21 @@ fn metres_become_units_of_the_finest_scale() {
     assert_eq!((header.depth_scale, &units[..8]), (0.0001, &[10_000, 20_000, 0, 0, 65_000, 0, 0, 5_000][..]));
 }
 
+#[test]
+fn what_is_too_far_away_is_counted() {
+    let far = |z: f32| write_metres(stamped(0), SIZE, [z; 12].into_iter(), Vec::new());
+    let half = write_metres(stamped(0), SIZE, (0..12).map(|pixel| 2.8 * pixel as f32), Vec::new());
+    let file = Foreign::new(None).info(INFO).put(IMAGES, IMAGE, 0, &half).put(IMAGES, IMAGE, 1, &far(1500.0)).bytes();
+    let place = Place::of(&file);
+    let mut replay = place.open(Config::default()).unwrap();
+    let frames = all(&mut replay).unwrap();
+    assert_eq!(frames[0].1[..7], [0, 11_200, 22_400, 33_600, 44_800, 56_000, 0], "16.38 m at most");
+    assert_eq!((&frames[1].1, frames[1].0.depth_scale), (&vec![0; 12], 0.000_25));
+    assert_eq!(replay.take_counts().collect::<Vec<_>>(), [("points too far", 6 + 12)]);
+    let millimetres = Config { depth_scale: Some(0.001), ..Config::default() };
+    assert_eq!(place.play(millimetres).unwrap()[1].1, [15_000; 12]);
+}
+
 /// A message of `compressedDepth`, as a PNG.
 fn compressed(frame: u64) -> Vec<u8> {
     let mut file = vec![0; 12];
@@ -393,6 +409,93 @@ fn an_image_that_cannot_be_read_is_passed_over_and_counted() {
 }
 
 #[test]
+fn what_cannot_be_read_at_the_beginning_is_passed_over_and_counted() {
+    let none = Camera { width: 0, height: 0, fx: 0.0, fy: 0.0, cx: 0.0, cy: 0.0 };
+    let unready = CameraInfo::write(stamped(0), &none, Vec::new());
+    let cut = &write_units(stamped(0), SIZE, &pixels(0), Vec::new())[..60];
+    let counted = |file: &[u8], config: Config| {
+        let place = Place::of(file);
+        let mut replay = place.open(config).unwrap();
+        let stamps: Vec<_> = all(&mut replay).unwrap().iter().map(|(header, _)| header.stamp_ns).collect();
+        assert_eq!(stamps, [1, 2].map(stamp_ns));
+        replay.take_counts().collect::<Vec<_>>()
+    };
+    for bad in [&[][..], cut] {
+        let file = Foreign::new(None).info(INFO).put(IMAGES, IMAGE, 0, bad).images(IMAGES, 1..3).bytes();
+        assert_eq!(counted(&file, Config::default()), [("frames unreadable", 1)]);
+        assert_eq!(counted(&file, topic(IMAGES)), [("frames unreadable", 1)]);
+    }
+    let name = format!("{IMAGES}/compressedDepth");
+    let mut file = Foreign::new(None);
+    file.info(INFO).put(&name, COMPRESSED_IMAGE, 0, &[]);
+    for frame in 1..3 {
+        file.put(&name, COMPRESSED_IMAGE, frame, &compressed(frame));
+    }
+    assert_eq!(counted(&file.bytes(), Config::default()), [("frames unreadable", 1)]);
+    for bad in [&[][..], &unready] {
+        let mut file = Foreign::new(None);
+        file.put(INFO, CAMERA_INFO, 0, bad).images(IMAGES, 1..2).info(INFO).images(IMAGES, 2..3);
+        assert_eq!(counted(&file.bytes(), Config::default()), [("CameraInfo unreadable", 1)]);
+    }
+    let never = Foreign::new(None).put(INFO, CAMERA_INFO, 0, &unready).images(IMAGES, 1..3).bytes();
+    assert!(told(&never, Config::default()).contains(&format!("`{INFO}` has no intrinsics: the camera was not")));
+}
+
+#[test]
+fn a_camera_that_changes_is_followed() {
+    let other = Camera { fx: 60.0, ..CAMERA };
+    let small = Camera { width: 6, height: 2, ..other };
+    let info = |camera: &Camera| CameraInfo::write(stamped(0), camera, Vec::new());
+    let mut file = Foreign::new(None);
+    file.info(INFO).images(IMAGES, 0..2).put(INFO, CAMERA_INFO, 2, &info(&other)).images(IMAGES, 2..4);
+    // Of the first of these nothing tells the camera yet.
+    for frame in 4..6 {
+        file.put(IMAGES, IMAGE, frame, &write_units(stamped(frame), (6, 2), &pixels(frame), Vec::new()));
+        file.put(INFO, CAMERA_INFO, frame, &info(&small));
+    }
+    let place = Place::of(&file.bytes());
+    let mut replay = place.open(Config { repeat: true, ..Config::default() }).unwrap();
+    for _ in 0..2 {
+        let cameras: Vec<_> = (0..5).map(|_| replay.next_message().unwrap().unwrap().header.camera).collect();
+        assert_eq!(cameras, [CAMERA, CAMERA, other, other, small]);
+    }
+    assert_eq!(replay.take_counts().collect::<Vec<_>>(), [("frames unreadable", 2)]);
+    let intrinsics = Some(Intrinsics { fx: 40.0, fy: 41.0, cx: 2.0, cy: 1.0 });
+    let given = place.play(Config { intrinsics, ..Config::default() }).unwrap();
+    assert!(given.len() == 4 && given.iter().all(|(header, _)| header.camera.fx == 40.0), "the parameters'");
+}
+
+#[test]
+fn a_transform_that_makes_no_sense_is_passed_over_and_counted() {
+    let pose = [[1.0, 0.0, 0.0, 0.5], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
+    let fixed = write_transform(Stamped { stamp_ns: 0, frame_id: "map" }, "optical", &pose, Vec::new());
+    let wrong = write_transform(Stamped { stamp_ns: 0, frame_id: "map" }, "arm", &[[f64::NAN; 4]; 3], Vec::new());
+    let mut file = Foreign::new(None);
+    file.info(INFO).put("/tf", TF_MESSAGE, 0, &wrong).put("/tf", TF_MESSAGE, 0, &[0; 3]);
+    let place = Place::of(&file.put("/tf_static", TF_MESSAGE, 0, &fixed).images(IMAGES, 0..2).bytes());
+    let config = Config { world: Some("map".to_owned()), path: Some("run.mcap".into()), ..Config::default() };
+    let mut replay = place.open(config.clone()).unwrap();
+    assert!(all(&mut replay).unwrap().iter().all(|(header, _)| header.pose() == Some(&pose)));
+    assert_eq!(replay.take_counts().collect::<Vec<_>>(), [("transforms unreadable", 2)]);
+    let mut resumed = Replay::resume(&config, place.0.path(), &DEPTH, 1, &Stop::default()).unwrap();
+    assert_eq!((resumed.take_counts().count(), all(&mut resumed).unwrap().len()), (0, 1), "counted before");
+}
+
+#[test]
+fn a_file_whose_end_does_not_tell_all_its_topics_is_read_on() {
+    let whole = play(&usual(None), Config::default()).unwrap();
+    let complete = || mcap::WriteOptions::new().compression(None).chunk_size(Some(300));
+    for options in [complete().repeat_channels(false), complete().repeat_channels(false).repeat_schemas(false)] {
+        let mut file = Foreign(mcap::Writer::with_options(std::io::Cursor::new(Vec::new()), options).unwrap());
+        let place = Place::of(&file.info(INFO).images(IMAGES, 0..5).bytes());
+        let mut replay = place.open(Config::default()).unwrap();
+        assert_eq!(all(&mut replay).unwrap(), whole);
+        replay.seek(stamp_ns(3));
+        assert_eq!(all(&mut replay).unwrap().len(), 2);
+    }
+}
+
+#[test]
 fn poses_come_from_tf_where_they_are_asked_for() {
     let pose = |x: f64| [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
     let moved = |frame, x| {
@@ -413,6 +516,30 @@ fn poses_come_from_tf_where_they_are_asked_for() {
 }
 
 #[test]
+fn of_a_part_no_more_is_read_than_is_needed() {
+    let file = Foreign::new(None).info(INFO).images(IMAGES, 0..9).bytes();
+    let image = |frame| write_units(stamped(frame), SIZE, &pixels(frame), Vec::new());
+    let at = |frame| file.windows(image(0).len()).position(|bytes| bytes == image(frame)).unwrap();
+    let damaged = chunks(&file).into_iter().find(|chunk| chunk.contains(&at(4))).unwrap();
+    assert!(damaged.start > at(1) && damaged.end < at(7), "they are in several chunks");
+    for (part, expected) in [
+        (Config { to_s: Some(0.15), ..Config::default() }, &[0, 1][..]),
+        (Config { from_s: 0.65, ..Config::default() }, &[7, 8]),
+    ] {
+        let mut bytes = file.clone();
+        bytes[damaged.start + 70..damaged.end].iter_mut().for_each(|byte| *byte = !*byte);
+        let place = Place::of(&bytes);
+        let mut replay = place.open(Config { repeat: true, ..part }).unwrap();
+        for round in 0..2 {
+            let frames = expected.iter().map(|_| replay.next_message().unwrap().unwrap());
+            let pixels_of: Vec<_> = frames.map(|frame| frame.items_as::<u16>()).collect();
+            assert_eq!(pixels_of, expected.iter().map(|frame| pixels(*frame)).collect::<Vec<_>>(), "{round}");
+        }
+        assert_eq!(replay.take_counts().collect::<Vec<_>>(), [], "what is damaged is not looked at");
+    }
+}
+
+#[test]
 fn a_part_is_played_and_played_again() {
     let place = Place::of(&usual(None));
     let part = Config { from_s: 0.1, to_s: Some(0.35), ..Config::default() };
@@ -425,6 +552,21 @@ fn a_part_is_played_and_played_again() {
     let numbers: Vec<_> =
         twice.iter().map(|header| (header.sequence, (header.stamp_ns - BEGIN_NS) / 1_000_000)).collect();
     assert_eq!(numbers, [(0, 100), (1, 200), (2, 300), (3, 400), (4, 500)]);
+    let rounds = |frames: &[u64], count: usize| {
+        let mut file = Foreign::new(None);
+        file.info(INFO);
+        for frame in frames {
+            file.images(IMAGES, *frame..frame + 1);
+        }
+        let place = Place::of(&file.bytes());
+        let mut replay = place.open(Config { repeat: true, ..Config::default() }).unwrap();
+        let headers = (0..count).map(|_| replay.next_message().unwrap().unwrap().header);
+        headers.map(|header| (header.sequence, (header.stamp_ns - BEGIN_NS) / 1_000_000)).collect::<Vec<_>>()
+    };
+    assert_eq!(rounds(&[0], 3), [(0, 0), (1, 33), (2, 66)], "a frame alone");
+    assert_eq!(rounds(&[1, 1], 4), [(0, 100), (1, 100), (2, 133), (3, 133)], "equal stamps");
+    let out_of_order = [(0, 0), (1, 600), (2, 200), (3, 900), (4, 1500), (5, 1100)];
+    assert_eq!(rounds(&[0, 6, 2], 6), out_of_order, "stamps that do not rise");
     let config = Config { path: Some("run.mcap".into()), repeat: true, ..part };
     let mut resumed = Replay::resume(&config, place.0.path(), &DEPTH, 4, &Stop::default()).unwrap();
     assert_eq!(resumed.next_message().unwrap().unwrap().header, twice[4], "after a restart");
