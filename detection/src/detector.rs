@@ -44,8 +44,8 @@ pub enum DetectError {
     },
     /// Numbers that no camera can have.
     #[error(
-        "the camera, the depth scale or the noise cannot be used: {0}\n  hint: focal lengths are in pixels, the depth scale \
-         is in metres per unit (0.001 for millimetres)"
+        "the image, the camera, the depth scale or the noise cannot be used: {0}\n  hint: focal lengths are in pixels, the \
+         depth scale is in metres per unit (0.001 for millimetres)"
     )]
     Camera(String),
 }

@@ -238,7 +238,9 @@ impl Header {
             return Ok(());
         }
         if !camera.has_size() {
-            return Err(Malformed::new(kind, format!("an image of {}x{} pixels", camera.width, camera.height)));
+            let (width, height) = (camera.width, camera.height);
+            let allowed = format!("allowed are 1 to {MAX_SIDE_PX} along a side and {MAX_PIXELS} in all");
+            return Err(Malformed::new(kind, format!("an image of {width}x{height} pixels, {allowed}")));
         }
         if !camera.has_intrinsics() {
             return fault("camera intrinsics that no camera has");
@@ -314,6 +316,10 @@ mod tests {
             spoil(&mut spoilt);
             assert!(spoilt.check("depth").is_err());
         }
+        header.camera.height = MAX_SIDE_PX + 1;
+        let told =
+            "malformed depth: an image of 2x16385 pixels, allowed are 1 to 16384 along a side and 67108864 in all";
+        assert_eq!(header.check("depth").map_err(|error| error.to_string()), Err(told.to_owned()));
     }
 
     #[test]

@@ -1,5 +1,5 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, Literal, Optional, Union
+from typing import Any, Literal, Optional, Union, final
 
 import numpy as np
 import numpy.typing as npt
@@ -10,8 +10,10 @@ __all__: list[str]
 _Depth = Union[npt.NDArray[np.uint16], npt.NDArray[np.float32]]
 """Rows and columns: `uint16` in units of the scale, 0 and 65535 not measured; or `float32` in metres, NaN not measured."""
 
-_Camera = Union[tuple[float, float, float, float], Sequence[float], npt.NDArray[np.floating[Any]]]
-"""`(fx, fy, cx, cy)` in pixels; pixel centres lie at whole numbers."""
+_Camera = Union[
+    tuple[float, float, float, float], Sequence[float], Sequence[Sequence[float]], npt.NDArray[Union[np.floating[Any], np.integer[Any]]]
+]
+"""`(fx, fy, cx, cy)` in pixels, or a matrix K, 3x3 or its nine numbers row by row; pixel centres lie at whole numbers."""
 
 _NoiseName = Literal["kinect_v1", "realsense_d435", "time_of_flight", "ideal"]
 _Noise = Union[_NoiseName, Mapping[str, float]]
@@ -19,6 +21,9 @@ _Noise = Union[_NoiseName, Mapping[str, float]]
 
 _Vector = list[float]
 """Three numbers."""
+
+_Matrix = npt.NDArray[np.float64]
+"""A covariance, 3x3."""
 
 class _Sigma:
     """Standard deviations; `None` where the shape has no such parameter."""
@@ -50,6 +55,7 @@ class Record:
 
 class _Shape(Record):
     kind: Literal["sphere", "cylinder", "cone"]
+    """In arrays 0, 1 or 2."""
     center: _Vector
     """In metres; of a cylinder or cone the middle of its visible part, on the axis."""
     apex: Optional[_Vector]
@@ -67,8 +73,11 @@ class _Shape(Record):
     length: Optional[float]
     """Of the visible part along the axis, in metres; `None` for a sphere."""
     sigma: _Sigma
+    @property
+    def covariance(self) -> _Matrix:
+        """Of the centre, in square metres."""
     rms: float
-    """Root mean square distance of the points from the surface, in metres."""
+    """Root mean square distance of the points from the surface beyond what noise explains, in metres."""
     points: int
     """Measurements that support it."""
     rows: int
@@ -78,9 +87,11 @@ class _Shape(Record):
     confidence: Optional[float]
     """Probability that it is an object of this shape; `None` where the method does not tell."""
 
+@final
 class Object(_Shape):
     """A sphere, cylinder or cone in the camera frame; `None` is what another shape has."""
 
+@final
 class Track(_Shape):
     """A tracked object in the camera frame."""
 
@@ -88,16 +99,22 @@ class Track(_Shape):
     sigma: _TrackSigma
     velocity: _Vector
     """In metres per second."""
+    @property
+    def velocity_covariance(self) -> _Matrix:
+        """In square metres per square second."""
     age: int
     """Frames since its first sight."""
     misses: int
     """Frames since it was last seen."""
     state: Literal["tentative", "confirmed", "coasting"]
+    """In arrays 0, 1 or 2."""
 
+@final
 class Ellipse(Record):
     """An arc of a scan line."""
 
     scan: Literal["row", "column"]
+    """In arrays 0 or 1."""
     line: int
     first: int
     last: int
@@ -113,6 +130,7 @@ class Ellipse(Record):
     arc: float
     """In radians."""
 
+@final
 class Velocity(Record):
     """A velocity that is to be taken."""
 
@@ -121,10 +139,12 @@ class Velocity(Record):
     angular: _Vector
     """In radians per second."""
     frame: Literal["camera", "world"]
+    """In arrays 0 or 1."""
 
 def detect(depth: _Depth, camera: _Camera, scale: float = 0.001, noise: Optional[_Noise] = None) -> list[Object]:
     """Spheres, cylinders and cones in one depth image, in the camera frame."""
 
+@final
 class Detector:
     """Finds objects in the images of one camera; all have one size."""
 
@@ -143,6 +163,7 @@ class Detector:
     @property
     def rejections(self) -> dict[str, int]: ...
 
+@final
 class Tracker:
     """Gives the objects of successive frames an identity, a velocity and a filtered shape."""
 
@@ -153,11 +174,16 @@ class Tracker:
         stamp_ns: int,
         world_from_camera: Optional[npt.ArrayLike] = None,
         camera: int = 0,
-    ) -> list[Track]: ...
+    ) -> list[Track]:
+        """The tracks that are alive after a frame; `stamp_ns` is in nanoseconds."""
 
 def dtype(kind: Literal["depth", "ellipses", "objects", "tracks", "velocities"]) -> np.dtype[Any]:
     """The layout of items, for `numpy.zeros(n, dtype=..)`."""
 
+def array(kind: Literal["ellipses", "objects", "tracks", "velocities"], records: Iterable[Record]) -> npt.NDArray[Any]:
+    """Records as a NumPy array of `dtype(kind)`, which can be written."""
+
+@final
 class Message:
     """One message of a topic: when and by which camera its frame was taken, and its items."""
 
@@ -203,13 +229,17 @@ class Message:
         """The items as an array of their layout, which cannot be written."""
     @property
     def image(self) -> npt.NDArray[np.uint16]:
-        """A depth image in units of `scale`, lent by shared memory: it is not copied and cannot be written."""
+        """A depth image in units of `scale`, lent by shared memory: it is not copied and cannot be written.
+
+        It is lent to this process alone: give a child that is forked, such as by `multiprocessing`, `message.image.copy()`.
+        """
     def to_dict(self) -> dict[str, Any]:
         """The line that `json_sink` writes."""
     def __len__(self) -> int: ...
     def __bool__(self) -> Literal[True]:
         """A message is one also where it has no items."""
 
+@final
 class Reader:
     """Messages of topics of a running pipeline, until the run is over."""
 
@@ -260,6 +290,7 @@ class _Joined:
     ) -> None:
         """Sends a message; waits where a reader must not miss one and has no room."""
 
+@final
 class Stage(_Joined):
     """A stage of a pipeline: `with conicflow.stage() as stage: for message in stage: stage.send(..)`."""
 
@@ -268,6 +299,7 @@ class Stage(_Joined):
     def __enter__(self) -> "Stage": ...
     def __exit__(self, *exception: object) -> None: ...
 
+@final
 class Source(_Joined):
     """A source of a pipeline: `with conicflow.source() as source: for number in source: source.send(..)`."""
 

@@ -17,7 +17,7 @@ use std::mem::offset_of;
 /// The items of a message as an array of their layout, an image with its rows and columns. It cannot be written, and keeps the
 /// message alive as long as it, or any view of it, lives.
 pub(crate) fn of_message<'py>(message: &Bound<'py, Message>) -> PyResult<Bound<'py, PyAny>> {
-    let (item, bytes) = (message.get().item(), message.get().bytes());
+    let (item, bytes) = (message.get().item(), message.get().bytes()?);
     if item.is_image() {
         let camera = &message.get().header().camera;
         let shape = (camera.height as usize, camera.width as usize);
@@ -47,11 +47,15 @@ fn lent<'py, T: Element, D: Dimension>(
 #[pyfunction]
 #[pyo3(name = "dtype")]
 pub(crate) fn dtype_of<'py>(py: Python<'py>, kind: &str) -> PyResult<Bound<'py, PyAny>> {
-    let Some(item) = BUILT_IN.iter().find(|row| row.name() == kind) else {
+    dtype(py, called(kind)?)
+}
+
+/// The built-in items of this name.
+pub(crate) fn called(kind: &str) -> PyResult<&'static ItemType> {
+    BUILT_IN.iter().find(|row| row.name() == kind).ok_or_else(|| {
         let hint = suggestion(kind, BUILT_IN.iter().map(ItemType::name), "kinds");
-        return Err(fault::value(format!("no items are called `{kind}`"), hint));
-    };
-    dtype(py, item)
+        fault::value(format!("no items are called `{kind}`"), hint)
+    })
 }
 
 /// The layout of items, as NumPy knows it.

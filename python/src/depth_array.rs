@@ -2,15 +2,17 @@
 //! is read where it is; anything else is copied once.
 
 use crate::fault;
-use conicflow_messages::{COARSEST_SCALE, Hinted, is_too_far};
+use conicflow_messages::{COARSEST_SCALE, MAX_PIXELS, MAX_SIDE_PX, is_too_far};
 use numpy::{PyArrayDescrMethods, PyReadonlyArray2, PyUntypedArray, PyUntypedArrayMethods, dtype};
-use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
-use std::ffi::CString;
+use pyo3::types::{PyBytes, PyString};
 
 /// What is expected.
 const EXPECTED: &str = "expected a NumPy array of two dimensions, (rows, columns), of uint16 (in units of `scale`) or of \
                         float32 (in metres, NaN: not measured)";
+
+/// So many channels an image has at most.
+const CHANNELS: usize = 4;
 
 /// One pixel in so many is asked whether the units can be right.
 const LOOKED_AT: usize = 97;
@@ -29,7 +31,16 @@ impl<'py> DepthArray<'py> {
         let py = depth.py();
         let Ok(array) = depth.cast::<PyUntypedArray>() else {
             let came = depth.get_type().name()?;
-            return Err(fault::kind(format!("`depth` is of type {came}, {EXPECTED}"), "numpy.asarray(depth) may do"));
+            let hint = if depth.is_none() {
+                "was the file read? cv2.imread returns None for one that it cannot find or read"
+            } else if depth.is_instance_of::<PyString>() || depth.hasattr("__fspath__")? {
+                "read the file first, such as by cv2.imread(path, cv2.IMREAD_UNCHANGED)"
+            } else if depth.is_instance_of::<PyBytes>() {
+                "numpy.frombuffer(depth, numpy.uint16).reshape(height, width) may do"
+            } else {
+                "numpy.asarray(depth) may do"
+            };
+            return Err(fault::kind(format!("`depth` is of type {came}, {EXPECTED}"), hint));
         };
         if array.hasattr("mask")? {
             return Err(fault::kind(
@@ -38,7 +49,14 @@ impl<'py> DepthArray<'py> {
             ));
         }
         if array.ndim() != 2 {
-            let hint = "of an image with channels pass the one with the depth: depth[:, :, 0]";
+            let hint = match array.shape() {
+                [] => "was the file read? an image has rows and columns",
+                [_] => "depth.reshape(height, width)",
+                [_, _, channels] if *channels <= CHANNELS => {
+                    "of an image with channels pass the one with the depth: depth[:, :, 0]"
+                }
+                _ => "pass one image after another: `for image in depth`",
+            };
             return Err(fault::value(format!("`depth` has the shape {:?}, {EXPECTED}", array.shape()), hint));
         }
         let of_units = array.dtype().is_equiv_to(&dtype::<u16>(py));
@@ -62,8 +80,7 @@ impl<'py> DepthArray<'py> {
         }
         let what = "most of `depth` is beyond 16.38 m, and float32 is in metres";
         let hint = "of millimetres pass depth.astype(numpy.uint16), or depth * numpy.float32(0.001)";
-        let text = CString::new(Hinted::new(what, hint).to_string())?;
-        PyErr::warn(py, &py.get_type::<PyUserWarning>(), &text, 1)
+        fault::warn(py, what, hint)
     }
 
     /// Columns and rows.
@@ -72,10 +89,19 @@ impl<'py> DepthArray<'py> {
             Self::Units(array) => array.shape(),
             Self::Metres(array) => array.shape(),
         };
-        match [shape[1], shape[0]].map(u32::try_from) {
-            [Ok(width), Ok(height)] => Ok((width, height)),
-            _ => Err(fault::value(format!("`depth` has the shape {shape:?}"), "no camera has so many pixels")),
+        let (height, width) = (shape[0], shape[1]);
+        let is_side = |pixels| (1..=MAX_SIDE_PX as usize).contains(&pixels);
+        if is_side(width) && is_side(height) && (width * height) as u64 <= MAX_PIXELS {
+            return Ok((width as u32, height as u32));
         }
+        let what = format!(
+            "`depth` is {width}x{height} pixels, expected 1 to {MAX_SIDE_PX} along a side and {MAX_PIXELS} in all"
+        );
+        let is_empty = width == 0 || height == 0;
+        Err(fault::value(
+            what,
+            if is_empty { "was the image read, or cut?" } else { "is it one image, as (rows, columns)?" },
+        ))
     }
 }
 

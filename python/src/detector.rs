@@ -2,7 +2,7 @@
 
 use crate::depth_array::DepthArray;
 use crate::record::{self, Record};
-use crate::{fault, settings};
+use crate::{argument, fault, settings};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::{AssemblerParameters, DetectError, Detector, ExtractorParameters};
 use conicflow_messages::{Camera, NoiseModel, Object};
@@ -10,6 +10,9 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use std::cell::RefCell;
 use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// Metres per unit where nothing is said.
+const MILLIMETRES: f64 = 0.001;
 
 /// What the images of a camera need to be understood.
 #[derive(Clone, Copy, PartialEq)]
@@ -20,11 +23,12 @@ struct Sensor {
 }
 
 impl Sensor {
-    fn new(camera: &Bound<'_, PyAny>, scale: f64, noise: Option<&Bound<'_, PyAny>>) -> PyResult<Self> {
-        if !(scale.is_normal() && scale > 0.0) {
-            let hint = "0.001 for millimetres, 0.0002 for TUM RGB-D";
-            return Err(fault::value(format!("`scale` is {scale}, expected metres per unit of a pixel"), hint));
-        }
+    fn new(
+        camera: &Bound<'_, PyAny>,
+        scale: Option<&Bound<'_, PyAny>>,
+        noise: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Self> {
+        let scale = scale.map_or(Ok(MILLIMETRES), settings::scale)?;
         Ok(Self { intrinsics: settings::intrinsics(camera)?, scale, noise: settings::noise(noise)? })
     }
 
@@ -51,19 +55,22 @@ thread_local! {
 /// depth: NumPy array (rows, columns). `uint16` counts units of `scale`, 0 and 65535 are not measured; `float32` is in
 ///     metres, and what is not finite, not above zero or beyond 16.38 m is not measured. Any stride will do; an array that
 ///     lies row by row without gaps is not copied.
-/// camera: (fx, fy, cx, cy) in pixels; pixel centres lie at whole numbers.
+/// camera: (fx, fy, cx, cy) in pixels, or a matrix K, 3x3 or its nine numbers row by row; pixel centres lie at whole numbers.
 /// scale: metres per unit of a `uint16` pixel; `float32` is in metres whatever it says.
 /// noise: the sensor's depth noise, "kinect_v1", "realsense_d435", "time_of_flight", "ideal", or a dictionary with some of
 ///     floor_m, growth_per_m, knee_m, step_per_m. None: "kinect_v1".
 ///
 /// Returns a list of `Object`; nothing found is an empty list. Raises TypeError or ValueError with a hint.
 #[pyfunction]
-#[pyo3(signature = (depth, camera, scale = 0.001, noise = None))]
+#[pyo3(
+    signature = (depth, camera, scale = None, noise = None),
+    text_signature = "(depth, camera, scale=0.001, noise=None)"
+)]
 pub(crate) fn detect<'py>(
     py: Python<'py>,
     depth: &Bound<'py, PyAny>,
     camera: &Bound<'py, PyAny>,
-    scale: f64,
+    scale: Option<&Bound<'py, PyAny>>,
     noise: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyList>> {
     let image = DepthArray::new(depth)?;
@@ -117,10 +124,13 @@ pub(crate) struct PyDetector {
 #[pymethods]
 impl PyDetector {
     #[new]
-    #[pyo3(signature = (camera, scale = 0.001, noise = None, *, extractor = None, assembler = None))]
+    #[pyo3(
+        signature = (camera, scale = None, noise = None, *, extractor = None, assembler = None),
+        text_signature = "(camera, scale=0.001, noise=None, *, extractor=None, assembler=None)"
+    )]
     fn new(
         camera: &Bound<'_, PyAny>,
-        scale: f64,
+        scale: Option<&Bound<'_, PyAny>>,
         noise: Option<&Bound<'_, PyAny>>,
         extractor: Option<&Bound<'_, PyAny>>,
         assembler: Option<&Bound<'_, PyAny>>,
@@ -162,6 +172,12 @@ impl PyDetector {
         told.into_iter().try_for_each(|(reason, times)| counts.set_item(reason, times))?;
         Ok(counts)
     }
+
+    /// It lies in memory of this process.
+    fn __reduce__(&self) -> PyResult<Py<PyAny>> {
+        let hint = "make one where it is used, in each process: Detector(camera, scale, noise)";
+        Err(fault::kind("a Detector cannot be copied or pickled", hint))
+    }
 }
 
 impl PyDetector {
@@ -179,7 +195,11 @@ impl PyDetector {
 /// The objects among some records.
 pub(crate) fn objects(given: &Bound<'_, PyAny>) -> PyResult<Vec<Object>> {
     let mut objects = Vec::new();
-    for (index, each) in given.try_iter()?.enumerate() {
+    let each = given.try_iter().map_err(|_| {
+        let what = format!("`objects` is {}, expected a list of conicflow.Object", argument::came(given));
+        fault::kind(what, "of one object give [object], where nothing was found []")
+    })?;
+    for (index, each) in each.enumerate() {
         let each = each?;
         let record = each.cast::<Record>().ok().map(|record| record.get());
         let object = record.and_then(|record| record.item_as::<Object>());

@@ -1,14 +1,15 @@
 //! What stages and sources in Python have in common: what they are told, their further inputs, and how they fail.
 
-use crate::fault;
 use crate::message::{Lender, Message};
-use conicflow_dataflow::{Context, ItemType, KeptMessage, ProcessError};
+use crate::owned::Owned;
+use crate::{argument, fault};
+use conicflow_dataflow::{Context, ItemType, KeptMessage, ProcessError, PulledSource, PulledStage, RunError, Stop};
 use pyo3::exceptions::PySystemExit;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::collections::BTreeMap;
 use std::io::{Write, stderr};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Exit code of a stage that could not be made ready: to start it anew would not help.
 const REFUSED: i32 = 2;
@@ -17,6 +18,7 @@ const REFUSED: i32 = 2;
 #[pyclass(frozen, subclass, name = "Joined", module = "conicflow")]
 pub(crate) struct Joined {
     pub(crate) context: Context,
+    stop: Owned<Stop>,
     base: String,
     parameters: Py<PyAny>,
 }
@@ -30,7 +32,8 @@ impl Joined {
         };
         let parameters = py.import("json")?.call_method1("loads", (parameters,))?.unbind();
         let base = context.base.to_string_lossy().into_owned();
-        Ok(Self { context, base, parameters })
+        let stop = Owned::new(context.stop.clone());
+        Ok(Self { context, stop, base, parameters })
     }
 }
 
@@ -62,8 +65,8 @@ impl Joined {
 
     /// Whether the run is to end. What may take seconds or waits for a device asks now and then: who asks lives.
     #[getter]
-    fn stopping(&self) -> bool {
-        self.context.stop.requested()
+    fn stopping(&self) -> PyResult<bool> {
+        Ok(self.stop.expect("stage")?.requested())
     }
 
     /// The layout of the items that it sends, for numpy.zeros(n, dtype=stage.dtype); None where it has no output.
@@ -78,6 +81,65 @@ impl Joined {
 
     fn __enter__(slf: Py<Self>) -> Py<Self> {
         slf
+    }
+}
+
+/// What fills the place of a stage or a source.
+pub(crate) trait Pulls: Send {
+    fn count(&mut self, name: &str, times: u64);
+    fn frame(&self) -> Option<u64>;
+    fn has_begun(&self) -> bool;
+    fn end(self) -> Result<(), RunError>;
+}
+
+macro_rules! pulls {
+    ($($type:ty),+) => {$(
+        impl Pulls for $type {
+            fn count(&mut self, name: &str, times: u64) {
+                Self::count(self, name, times);
+            }
+            fn frame(&self) -> Option<u64> {
+                Self::frame(self)
+            }
+            fn has_begun(&self) -> bool {
+                Self::has_begun(self)
+            }
+            fn end(self) -> Result<(), RunError> {
+                Self::end(self)
+            }
+        }
+    )+};
+}
+
+pulls!(PulledStage, PulledSource);
+
+/// A place in the run, until it is left; one that is not wanted any more has none.
+pub(crate) struct Place<T>(Owned<Mutex<Option<T>>>);
+
+impl<T: Pulls> Place<T> {
+    pub(crate) fn new(pulled: Option<T>) -> Self {
+        Self(Owned::new(Mutex::new(pulled)))
+    }
+
+    /// What fills it; an error in a process that was forked from the one that joined the run.
+    pub(crate) fn lock(&self) -> PyResult<MutexGuard<'_, Option<T>>> {
+        Ok(self.0.expect("stage")?.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// Adds to a counter.
+    pub(crate) fn count(&self, py: Python<'_>, name: &str, times: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
+        let hint = "counters only grow";
+        let times = times.map_or(Ok(1), |times| argument::whole("times", times, u64::MAX, hint))?;
+        py.detach(|| self.lock().map(|mut pulled| pulled.iter_mut().for_each(|pulled| pulled.count(name, times))))
+    }
+
+    /// Leaves it at the end of `with`: in order, or as one that failed. A process that was forked has nothing to leave.
+    pub(crate) fn leave(&self, py: Python<'_>, kind: &Bound<'_, PyAny>, exception: &Bound<'_, PyAny>) -> PyResult<()> {
+        let Some(pulled) = self.0.here().and_then(|_| self.lock().ok()?.take()) else { return Ok(()) };
+        if kind.is_none() {
+            return py.detach(|| pulled.end()).map_err(|error| fault::run(&error));
+        }
+        failed(py, exception, pulled.frame(), pulled.has_begun())
     }
 }
 
@@ -133,7 +195,7 @@ fn refusal(py: Python<'_>, error: &ProcessError) -> PyErr {
 
 /// Tells of an exception at which frame it was raised; one before the first frame ends the process as one that could not be made
 /// ready.
-pub(crate) fn failed(py: Python<'_>, exception: &Bound<'_, PyAny>, frame: Option<u64>, begun: bool) -> PyResult<()> {
+fn failed(py: Python<'_>, exception: &Bound<'_, PyAny>, frame: Option<u64>, begun: bool) -> PyResult<()> {
     let exits = exception.is_instance_of::<PySystemExit>();
     if let Some(frame) = frame {
         // Python shows the exception itself, unless it ends the program.

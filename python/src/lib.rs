@@ -4,12 +4,14 @@
 //! Each of these doors is a file: [`detector`], [`tracker`], [`read`], [`stage`], [`source`]. What goes through them are
 //! [`record`]s, [`message`]s and [`depth_array`]s. Nothing of a pipeline is opened before it is asked for.
 
+mod argument;
 mod array;
 mod depth_array;
 mod detector;
 mod fault;
 mod joined;
 mod message;
+mod owned;
 mod payload;
 mod read;
 mod record;
@@ -18,11 +20,14 @@ mod source;
 mod stage;
 mod tracker;
 
+use conicflow_messages::Hinted;
+use pyo3::exceptions::PyImportError;
 use pyo3::prelude::*;
 
 /// The compiled part of `conicflow`.
 #[pymodule]
 fn _conicflow(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    expect_numpy(module.py())?;
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add_function(wrap_pyfunction!(detector::detect, module)?)?;
     module.add_class::<detector::PyDetector>()?;
@@ -35,8 +40,18 @@ fn _conicflow(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(source::source, module)?)?;
     module.add_class::<source::Source>()?;
     module.add_function(wrap_pyfunction!(array::dtype_of, module)?)?;
+    module.add_function(wrap_pyfunction!(payload::of_records, module)?)?;
     module.add_function(wrap_pyfunction!(log, module)?)?;
     record::add_to(module)
+}
+
+/// Makes sure that there is NumPy, without loading it: the first array would miss it in the midst of a call.
+fn expect_numpy(py: Python<'_>) -> PyResult<()> {
+    if !py.import("importlib.util")?.call_method1("find_spec", ("numpy",))?.is_none() {
+        return Ok(());
+    }
+    let hint = "`pip install numpy`, or `sudo apt install python3-numpy`";
+    Err(PyImportError::new_err(Hinted::new("conicflow needs NumPy, which is not installed", hint).to_string()))
 }
 
 /// Logs a text as a stage in Rust does: "error", "warn" or "info".

@@ -2,6 +2,7 @@
 //! memory, as long as the message or any array of it lives. Of images only so many can be lent at once: a writer's memory is
 //! bounded.
 
+use crate::owned::Owned;
 use crate::{array, fault, record};
 use bytemuck::{cast_slice, cast_slice_mut};
 use conicflow_dataflow::{AnyMessage, ItemType, KeptMessage};
@@ -54,7 +55,8 @@ impl Lender {
 /// One message of a topic: when and by which camera its frame was taken, and its items.
 ///
 /// A list is copied. An image is lent: `image` lies in shared memory, cannot be written, and may be kept as long as few
-/// others are; whoever wants to keep more copies it.
+/// others are; whoever wants to keep more copies it. It is lent to this process alone: a child that is forked, such as by
+/// `multiprocessing`, needs a copy, `message.image.copy()`. An array that it gets without being copied shows other images later.
 #[pyclass(frozen, module = "conicflow")]
 pub(crate) struct Message {
     header: Header,
@@ -66,6 +68,7 @@ pub(crate) struct Message {
     #[pyo3(get)]
     latency_ms: Option<f64>,
     content: Content,
+    number: usize,
     /// Of a message that drives a stage: what goes with it, by the names of the further inputs; each may be missing.
     #[pyo3(get)]
     inputs: Py<PyDict>,
@@ -75,7 +78,7 @@ pub(crate) struct Message {
 /// The bytes of a message.
 enum Content {
     /// In the memory of its writer.
-    Lent { message: KeptMessage, _loan: Loan },
+    Lent(Owned<(KeptMessage, Loan)>),
     /// In this process, as the items have to lie.
     Own { words: Box<[u64]>, length: usize },
 }
@@ -90,10 +93,10 @@ impl Message {
         received_ns: u64,
         lender: &Lender,
     ) -> PyResult<Bound<'py, Self>> {
-        let header = *message.header();
+        let (header, number) = (*message.header(), message.bytes().len() / item.size());
         let content = if item.is_image() {
             lender.look(topic)?;
-            Content::Lent { message, _loan: lender.lend() }
+            Content::Lent(Owned::new((message, lender.lend())))
         } else {
             let length = message.bytes().len();
             let mut words = vec![0_u64; length.div_ceil(size_of::<u64>())];
@@ -103,7 +106,7 @@ impl Message {
         let (item, topic) = (item.clone(), topic.to_owned());
         let latency_ms = header.latency_ms(received_ns);
         let inputs = PyDict::new(py).unbind();
-        Bound::new(py, Self { header, item, topic, latency_ms, content, inputs, items: PyOnceLock::new() })
+        Bound::new(py, Self { header, item, topic, latency_ms, content, number, inputs, items: PyOnceLock::new() })
     }
 
     pub(crate) fn header(&self) -> &Header {
@@ -114,10 +117,15 @@ impl Message {
         &self.item
     }
 
-    pub(crate) fn bytes(&self) -> &[u8] {
+    /// Its bytes; an error where they are lent to another process.
+    pub(crate) fn bytes(&self) -> PyResult<&[u8]> {
         match &self.content {
-            Content::Lent { message, .. } => message.bytes(),
-            Content::Own { words, length } => &cast_slice(words)[..*length],
+            Content::Lent(lent) => lent.here().map(|(message, _)| message.bytes()).ok_or_else(|| {
+                let what = "this image was lent to another process, from which this one was forked";
+                let hint = "give a child a copy, message.image.copy(), or let it read the topic itself";
+                PyBufferError::new_err(Hinted::new(what, hint).to_string())
+            }),
+            Content::Own { words, length } => Ok(&cast_slice(words)[..*length]),
         }
     }
 
@@ -198,7 +206,7 @@ impl Message {
     #[getter]
     fn items<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
         let items = self.items.get_or_try_init(py, || {
-            let bytes = if self.item.is_image() { &[] } else { self.bytes() };
+            let bytes = if self.item.is_image() { &[] } else { self.bytes()? };
             Ok::<_, PyErr>(record::list(py, &self.item, bytes)?.unbind())
         })?;
         Ok(items.bind(py).clone())
@@ -211,7 +219,7 @@ impl Message {
     }
 
     /// A depth image, rows and columns of `uint16` in units of `scale` metres; 0 and 65535 are not measured. It is not copied,
-    /// and cannot be written.
+    /// and cannot be written. Give a child process a copy, `message.image.copy()`.
     #[getter]
     fn image<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
         if slf.get().item.is_image() {
@@ -224,7 +232,7 @@ impl Message {
     /// The line that `json_sink` writes for this message; of an image a summary.
     fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let mut line = Vec::new();
-        AnyMessage { header: &self.header, item: &self.item, bytes: self.bytes() }
+        AnyMessage { header: &self.header, item: &self.item, bytes: self.bytes()? }
             .write_json(self.latency_ms, &mut line)
             .map_err(|error| fault::told(&error))?;
         py.import("json")?.call_method1("loads", (PyBytes::new(py, &line),))
@@ -232,7 +240,7 @@ impl Message {
 
     /// Number of items, of an image its pixels.
     fn __len__(&self) -> usize {
-        self.bytes().len() / self.item.size()
+        self.number
     }
 
     /// A message is one also where it has no items.
@@ -240,8 +248,14 @@ impl Message {
         true
     }
 
+    /// It lies in memory of this process, or is lent to it.
+    fn __reduce__(&self) -> PyResult<Py<PyAny>> {
+        let hint = "pickle message.items, message.image.copy() or message.to_dict()";
+        Err(fault::kind("a message cannot be copied or pickled", hint))
+    }
+
     fn __repr__(&self) -> String {
-        let (number, kind) = (self.__len__(), self.item.name());
+        let (number, kind) = (self.number, self.item.name());
         format!("Message(topic='{}', sequence={}, {number} of {kind})", self.topic, self.header.sequence)
     }
 }

@@ -5,12 +5,12 @@ use crate::depth_array::DepthArray;
 use crate::message::Message;
 use crate::record::Record;
 use crate::tracker::pose;
-use crate::{array, fault, settings};
+use crate::{argument, array, fault, settings};
 use conicflow_dataflow::ItemType;
 use conicflow_messages::{Header, NoiseModel, Text, finest_scale, quantise};
 use numpy::{PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyDict};
+use pyo3::types::{PyByteArray, PyBytes, PyDict};
 
 /// The bytes of items, and what they tell of the header.
 pub(crate) struct Payload {
@@ -29,14 +29,14 @@ impl Payload {
             expect(item, message.item())?;
             let camera = &message.header().camera;
             let size = item.is_image().then_some((camera.width, camera.height));
-            return Ok(Self { bytes: message.bytes().to_vec(), size, scale: None });
+            return Ok(Self { bytes: message.bytes()?.to_vec(), size, scale: None });
         }
         if item.is_image() {
             return Self::image(given);
         }
         let bytes = match given.cast::<PyUntypedArray>() {
             Ok(array) => structured(item, array)?,
-            Err(_) => records(item, given)?,
+            Err(_) => bytes_of_records(item, given)?,
         };
         Ok(Self { bytes, size: None, scale: None })
     }
@@ -68,15 +68,20 @@ fn expect(item: &ItemType, came: &ItemType) -> PyResult<()> {
     Err(fault::kind(what, "the pipeline file says what it carries: output = { topic = \"..\", kind = \"..\" }"))
 }
 
-fn records(item: &ItemType, given: &Bound<'_, PyAny>) -> PyResult<Vec<u8>> {
+/// The bytes of records of this type.
+fn bytes_of_records(item: &ItemType, given: &Bound<'_, PyAny>) -> PyResult<Vec<u8>> {
     let mut bytes = Vec::new();
-    for each in given.try_iter()? {
+    let items = given.try_iter().map_err(|_| {
+        let what = format!("the items are {}, expected a list of records or a NumPy array", argument::came(given));
+        fault::kind(what, "of one record give a list with it, where there is none an empty list")
+    })?;
+    for each in items {
         let each = each?;
-        let Ok(record) = each.cast::<Record>() else {
-            let what = format!("a {} is no item of {}", each.get_type().name()?, item.name());
-            return Err(fault::kind(what, "send records of conicflow, or a NumPy array of the type `dtype`"));
-        };
-        expect(item, record.get().item())?;
+        let record = each.cast::<Record>().ok().filter(|record| item.fits(record.get().item())).ok_or_else(|| {
+            let came = each.get_type().name().map_or_else(|_| String::new(), |name| name.to_string());
+            let hint = "records of conicflow are of one kind, such as Object of objects; the pipeline file says which an output carries";
+            fault::kind(format!("a {came} is no item of {}", item.name()), hint)
+        })?;
         bytes.extend_from_slice(record.get().bytes());
     }
     Ok(bytes)
@@ -93,6 +98,18 @@ fn structured(item: &ItemType, array: &Bound<'_, PyUntypedArray>) -> PyResult<Ve
     }
     let bytes = array.call_method0("tobytes")?;
     Ok(bytes.cast::<PyBytes>()?.as_bytes().to_vec())
+}
+
+/// Records as a NumPy array of `dtype(kind)`, which can be written.
+///
+/// kind: "ellipses", "objects", "tracks" or "velocities".
+/// records: a list of them, such as `detect` returns; an empty one gives an empty array.
+#[pyfunction]
+#[pyo3(name = "array")]
+pub(crate) fn of_records<'py>(py: Python<'py>, kind: &str, records: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+    let item = array::called(kind)?;
+    let bytes = PyByteArray::new(py, &bytes_of_records(item, records)?);
+    py.import("numpy")?.call_method1("frombuffer", (bytes, array::dtype(py, item)?))
 }
 
 /// What of a header a program sets, by the names of its arguments.
@@ -118,11 +135,16 @@ impl HeaderChange {
                     let of = settings::intrinsics(&value)?;
                     change.camera = Some((of.fx, of.fy, of.cx, of.cy));
                 }
-                "scale" => change.scale = Some(value.extract()?),
+                "scale" => change.scale = Some(settings::scale(&value)?),
                 "noise" => change.noise = Some(settings::noise(Some(&value))?),
-                "stamp_ns" => change.stamp_ns = Some(value.extract()?),
-                "source" => change.source = Some(value.extract()?),
-                "sequence" => change.sequence = Some(value.extract()?),
+                "stamp_ns" => change.stamp_ns = Some(argument::stamp_ns(&value)?),
+                "source" => {
+                    change.source = Some(argument::word("source", &value, "give the name of the frame's file")?);
+                }
+                "sequence" => {
+                    let hint = "give the number of the frame, or none";
+                    change.sequence = Some(argument::whole("sequence", &value, u64::MAX, hint)?);
+                }
                 "world_from_camera" => change.pose = Some(pose(&value)?),
                 other => {
                     let known = "camera, scale, noise, stamp_ns, source, sequence, world_from_camera";

@@ -1,7 +1,8 @@
 //! Live topics of a pipeline that runs on this machine, as an onlooker, for whom no writer waits.
 
-use crate::fault;
 use crate::message::{Lender, Message};
+use crate::owned::Owned;
+use crate::{argument, fault};
 use conicflow_dataflow::{
     DEFAULT_LOG, ItemType, LOG, Requirements, RunningPipeline, Seen, Watcher, log_to_standard_error, monotonic_ns,
 };
@@ -19,7 +20,7 @@ const PATIENCE: Duration = Duration::from_millis(50);
 /// Messages of topics of a running pipeline, from now on, until the run is over.
 #[pyclass(frozen, module = "conicflow")]
 pub(crate) struct Reader {
-    watcher: Mutex<Option<Watcher>>,
+    watcher: Owned<Mutex<Option<Watcher>>>,
     topics: Vec<(String, ItemType, Lender)>,
 }
 
@@ -33,7 +34,9 @@ pub(crate) struct Reader {
 #[pyfunction]
 #[pyo3(signature = (*topics, pipeline = None))]
 pub(crate) fn read(py: Python<'_>, topics: &Bound<'_, PyTuple>, pipeline: Option<&str>) -> PyResult<Reader> {
-    let names: Vec<String> = topics.extract()?;
+    let hint = "give each topic by its name: read(\"depth\", \"objects\")";
+    let names: Vec<String> =
+        topics.iter().map(|topic| argument::word("topic", &topic, hint)).collect::<PyResult<_>>()?;
     if names.is_empty() {
         return Err(fault::kind("read() got no topic", "name one, such as read(\"objects\")"));
     }
@@ -49,7 +52,7 @@ pub(crate) fn read(py: Python<'_>, topics: &Bound<'_, PyTuple>, pipeline: Option
         }
         let watcher = Watcher::new(&running, &watched).map_err(|error| fault::run(&error))?;
         let topics = watched.iter().map(|(item, topic)| (topic.name.clone(), (*item).clone(), Lender::default()));
-        Ok(Reader { topics: topics.collect(), watcher: Mutex::new(Some(watcher)) })
+        Ok(Reader { topics: topics.collect(), watcher: Owned::new(Mutex::new(Some(watcher))) })
     })
 }
 
@@ -60,6 +63,7 @@ impl Reader {
     }
 
     fn __next__<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, Message>>> {
+        let watcher = self.watcher.expect("reader")?;
         for (topic, item, lender) in &self.topics {
             if item.is_image() {
                 lender.look(topic)?;
@@ -68,7 +72,7 @@ impl Reader {
         loop {
             py.check_signals()?;
             let seen = py.detach(|| {
-                let mut watcher = self.watcher.lock().unwrap_or_else(PoisonError::into_inner);
+                let mut watcher = watcher.lock().unwrap_or_else(PoisonError::into_inner);
                 let Some(watcher) = &mut *watcher else { return Ok(Seen::Over) };
                 let deadline = Instant::now() + PATIENCE;
                 loop {
@@ -92,9 +96,11 @@ impl Reader {
         }
     }
 
-    /// Leaves its place among the onlookers; messages that were received stay.
+    /// Leaves its place among the onlookers; messages that were received stay. Does nothing in a process that was forked.
     fn close(&self) {
-        self.watcher.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(watcher) = self.watcher.here() {
+            watcher.lock().unwrap_or_else(PoisonError::into_inner).take();
+        }
     }
 
     fn __enter__(slf: Py<Self>) -> Py<Self> {

@@ -6,7 +6,11 @@
 use crate::fault;
 use bytemuck::{bytes_of, cast_slice, cast_slice_mut, pod_read_unaligned};
 use conicflow_dataflow::{AnyMessage, BUILT_IN, ItemType};
-use conicflow_messages::{COARSEST_SCALE, Camera, Ellipse, Header, Item, Object, ObjectKind, ToJson, Track, Velocity};
+use conicflow_messages::{
+    COARSEST_SCALE, Camera, Ellipse, Header, Item, Object, ObjectKind, Scan, ToJson, Track, Velocity,
+};
+use numpy::IntoPyArray;
+use numpy::ndarray::arr2;
 use pyo3::exceptions::PyAttributeError;
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
@@ -21,19 +25,99 @@ pub(crate) struct Record {
     shown: PyOnceLock<Py<PyDict>>,
 }
 
-/// A sphere, cylinder or cone in the camera frame, in metres and radians.
+/// A sphere, cylinder or cone in the camera frame (x right, y down, z forward); what only other shapes have is None.
+///
+/// kind: "sphere", "cylinder" or "cone"; in arrays 0, 1 or 2.
+/// center: [x, y, z] of a sphere; else the middle of the visible part, on the axis; metres.
+/// radius: metres; None for a cone.
+/// axis: unit vector, of a cone from the apex to the base; None for a sphere.
+/// length: of the visible part along the axis, metres; None for a sphere.
+/// apex, half_angle, base_radius, top_radius: of a cone, metres and radians; the radii at the wide and the narrow end of the
+///     visible part.
+/// sigma: standard deviations: center [x, y, z], radius (of a cone at its center) and length in metres, axis and half_angle in
+///     radians.
+/// covariance: of the center, NumPy array 3x3, square metres.
+/// rms: root mean square distance of the points from the surface beyond what noise explains, metres.
+/// points, rows: measurements and scan lines that support it.
+/// arc: visible part of the circumference, radians.
+/// confidence: probability that it is an object of this shape; None where the method does not tell.
 #[pyclass(frozen, extends = Record, name = "Object", module = "conicflow")]
 struct PyObjectRecord;
 
-/// A tracked object in the camera frame, in metres, radians and metres per second.
+#[pymethods]
+impl PyObjectRecord {
+    /// Covariance of the center, NumPy array 3x3, square metres.
+    #[getter]
+    fn covariance<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        matrix(slf.as_super(), |object: Object| object.sigma.center)
+    }
+}
+
+/// A tracked object in the camera frame (x right, y down, z forward); what only other shapes have is None.
+///
+/// id: its identity, the same from the first sight to the last.
+/// state: "tentative", "confirmed", or "coasting" while it is not seen; in arrays 0, 1 or 2.
+/// age, misses: frames since its first sight, and since it was last seen.
+/// velocity: [x, y, z] of the center, metres per second.
+/// velocity_covariance: of that, NumPy array 3x3, square metres per square second.
+/// kind: "sphere", "cylinder" or "cone"; in arrays 0, 1 or 2.
+/// center: [x, y, z] of a sphere; else the middle of the visible part, on the axis; metres.
+/// radius: metres; None for a cone.
+/// axis: unit vector, of a cone from the apex to the base; None for a sphere.
+/// length: of the visible part along the axis, metres; None for a sphere.
+/// apex, half_angle, base_radius, top_radius: of a cone, metres and radians; the radii at the wide and the narrow end of the
+///     visible part.
+/// sigma: standard deviations: center [x, y, z], radius (of a cone at its center) and length in metres, axis and half_angle in
+///     radians, velocity [x, y, z] in metres per second.
+/// covariance: of the center, NumPy array 3x3, square metres.
+/// rms: root mean square distance of the points from the surface beyond what noise explains, metres.
+/// points, rows: measurements and scan lines that support it.
+/// arc: visible part of the circumference, radians.
+/// confidence: probability that it is an object of this shape; None where the method does not tell.
 #[pyclass(frozen, extends = Record, name = "Track", module = "conicflow")]
 struct PyTrack;
 
-/// An arc of a scan line.
+#[pymethods]
+impl PyTrack {
+    /// Covariance of the center, NumPy array 3x3, square metres.
+    #[getter]
+    fn covariance<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        matrix(slf.as_super(), |track: Track| track.object.sigma.center)
+    }
+
+    /// Covariance of the velocity, NumPy array 3x3, square metres per square second.
+    #[getter]
+    fn velocity_covariance<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        matrix(slf.as_super(), |track: Track| track.velocity_covariance)
+    }
+}
+
+/// A matrix of an item as a NumPy array.
+fn matrix<'py, T: Item>(
+    record: &Bound<'py, Record>,
+    of: impl FnOnce(T) -> [[f64; 3]; 3],
+) -> PyResult<Bound<'py, PyAny>> {
+    let item = record.get().item_as::<T>().ok_or_else(|| fault::value("it is an item of another type", ""))?;
+    Ok(arr2(&of(item)).into_pyarray(record.py()).into_any())
+}
+
+/// An arc of a scan line, in the camera frame.
+///
+/// scan, line: "row" or "column" (in arrays 0 or 1), and its number.
+/// first, last: its first and its last pixel.
+/// points: number of points.
+/// center: [x, y, z], metres.
+/// semi_axes: the longer first, metres.
+/// angle: from the direction across the view to the longer axis, in the plane of the line, radians.
+/// rms: root mean square distance of the points beyond the noise, metres.
+/// arc: angle that the points span, radians.
 #[pyclass(frozen, extends = Record, name = "Ellipse", module = "conicflow")]
 struct PyEllipse;
 
 /// A velocity that is to be taken.
+///
+/// linear, angular: [x, y, z], metres and radians per second.
+/// frame: "camera" or "world", whose axes are meant; in arrays 0 or 1.
 #[pyclass(frozen, extends = Record, name = "Velocity", module = "conicflow")]
 struct PyVelocity;
 
@@ -52,9 +136,12 @@ pub(crate) fn add_to(module: &Bound<'_, PyModule>) -> PyResult<()> {
 fn unpickled<'py>(py: Python<'py>, layout: &str, bytes: &[u8]) -> PyResult<Bound<'py, PyAny>> {
     let item = BUILT_IN.iter().find(|item| item.layout() == layout && item.size() == bytes.len());
     let item = item.ok_or_else(|| fault::value("it was pickled by another version", "find the objects anew"))?;
-    // Of whatever camera they are, the items alone are to make sense.
-    let side = 1 << 12;
-    let camera = Camera { width: side, height: side, fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 };
+    // Of whatever camera they are, the items alone are to make sense: its images have the pixels that an arc needs.
+    let (width, height) = Record::new(item, bytes).item_as::<Ellipse>().map_or((1, 1), |ellipse| {
+        let (line, along) = (ellipse.line.saturating_add(1), ellipse.last.saturating_add(1));
+        if ellipse.direction() == Scan::Row { (along, line) } else { (line, along) }
+    });
+    let camera = Camera { width, height, fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 };
     let header = Header { camera, depth_scale: COARSEST_SCALE, ..Header::default() };
     item.check(&header, bytes).map_err(|error| fault::told(&error))?;
     Record::new(item, bytes).into_python(py)
@@ -137,9 +224,12 @@ impl Record {
         }
     }
 
-    fn __dir__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
-        let names = self.shown(py)?.keys();
-        names.append("to_dict")?;
+    /// What its class has, and the keys of its items, those of other shapes included.
+    fn __dir__<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyList>> {
+        let (py, record) = (slf.py(), slf.get());
+        let names = slf.get_type().dir()?;
+        let keys = keys(py, &record.item)?.map_or_else(|| record.shown(py).cloned(), Ok)?.keys();
+        names.call_method1("extend", (keys,))?;
         Ok(names)
     }
 

@@ -1,27 +1,50 @@
 //! Camera, noise and parameters as Python gives them: four numbers, the words of the pipeline file, and dictionaries with its
 //! keys.
 
-use crate::fault;
+use crate::{argument, fault};
 use conicflow_dataflow::Config;
 use conicflow_dataflow::pipeline::value_fault;
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
-use conicflow_messages::{ConfigFault, Hinted, NoiseModel};
+use conicflow_messages::{ConfigFault, DEPTH_SCALES_M, Hinted, NoiseModel};
+use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
+use pyo3::types::{IntoPyDict, PyBool, PyByteArray, PyBytes, PyCFunction};
 use serde_json::Value as Json;
 
 /// What to write where the camera is wanted.
-pub(crate) const CAMERA: &str = "give camera=(fx, fy, cx, cy) in pixels, such as (525.0, 525.0, 319.5, 239.5); of a matrix K these are \
-                      K[0, 0], K[1, 1], K[0, 2], K[1, 2]";
+pub(crate) const CAMERA: &str = "give camera=(fx, fy, cx, cy) in pixels, such as (525.0, 525.0, 319.5, 239.5), or a matrix K, \
+                                 row by row";
 
-/// The intrinsics of a camera: `(fx, fy, cx, cy)` in pixels.
+/// What of the camera that other libraries describe is wanted, by an attribute that tells which it is.
+const OF_OTHERS: [(&str, &str); 4] = [
+    ("k", "of a CameraInfo of ROS 2 give camera=info.k"),
+    ("K", "of a CameraInfo of ROS 1 give camera=info.K"),
+    ("ppx", "of intrinsics of RealSense give camera=(i.fx, i.fy, i.ppx, i.ppy)"),
+    ("intrinsic_matrix", "of intrinsics of Open3D give camera=i.intrinsic_matrix"),
+];
+
+/// The intrinsics of a camera: `(fx, fy, cx, cy)` in pixels, or a matrix K.
 pub(crate) fn intrinsics(camera: &Bound<'_, PyAny>) -> PyResult<Intrinsics> {
-    let numbers: Vec<f64> = camera.extract().map_err(|_| {
-        let came = camera.repr().map_or_else(|_| "something else".to_owned(), |text| text.to_string());
-        fault::kind(format!("`camera` is {came}, expected four numbers"), CAMERA)
+    let rows = || camera.extract::<[[f64; 3]; 3]>().map(|rows| rows.as_flattened().to_vec());
+    let is_text = camera.is_instance_of::<PyBytes>() || camera.is_instance_of::<PyByteArray>();
+    let numbers: Option<Vec<f64>> = camera.extract().or_else(|_| rows()).ok().filter(|_| !is_text);
+    let numbers = numbers.ok_or_else(|| {
+        let hint = OF_OTHERS.iter().find(|(attribute, _)| camera.hasattr(*attribute).unwrap_or(false));
+        let what = format!("`camera` is {}, expected four numbers or a matrix K", argument::came(camera));
+        fault::kind(what, hint.map_or(CAMERA, |(_, hint)| hint))
     })?;
-    let &[fx, fy, cx, cy] = &numbers[..] else {
-        return Err(fault::value(format!("`camera` has {} numbers, expected four", numbers.len()), CAMERA));
+    let (fx, fy, cx, cy) = match numbers[..] {
+        [fx, fy, cx, cy] => (fx, fy, cx, cy),
+        [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0] => (fx, fy, cx, cy),
+        [_, _, _, _, _, _, _, _, _] => {
+            let what = format!("`camera` is no matrix K [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]: {numbers:?}");
+            return Err(fault::value(what, "give K row by row: of one that goes column by column its transpose"));
+        }
+        _ => {
+            let what = format!("`camera` has {} numbers, expected four, or the nine of a matrix K", numbers.len());
+            return Err(fault::value(what, CAMERA));
+        }
     };
     let intrinsics = Intrinsics { fx, fy, cx, cy };
     if intrinsics.are_usable() {
@@ -30,6 +53,17 @@ pub(crate) fn intrinsics(camera: &Bound<'_, PyAny>) -> PyResult<Intrinsics> {
         let what = "`camera`: focal lengths are 1 to 1,000,000 pixels, and a principal point is no farther away";
         Err(fault::value(format!("{what}, but they are {numbers:?}"), CAMERA))
     }
+}
+
+/// Metres per unit of a depth pixel.
+pub(crate) fn scale(given: &Bound<'_, PyAny>) -> PyResult<f64> {
+    let hint = "it is metres per unit: 0.001 for millimetres, 0.0002 for TUM RGB-D, which has 5000 units in a metre";
+    let scale = argument::number("scale", given, hint)?;
+    if DEPTH_SCALES_M.contains(&scale) {
+        return Ok(scale);
+    }
+    let (least, most) = (DEPTH_SCALES_M.start(), DEPTH_SCALES_M.end());
+    Err(fault::value(format!("`scale` is {scale}, allowed is from {least:e} to {most} metres per unit"), hint))
 }
 
 /// The noise of a sensor: a word, or a dictionary with coefficients.
@@ -55,9 +89,27 @@ pub(crate) fn parameters<T: Config>(
 
 /// What is described by words and dictionaries as in the pipeline file, and checked as there.
 fn read<T: Config>(name: &str, value: &Bound<'_, PyAny>) -> PyResult<T> {
-    let hint = "the words and keys are those of the pipeline file: `conicflow nodes` lists them";
-    let text = value.py().import("json")?.call_method1("dumps", (value,));
-    let text: String = text.map_err(|error| fault::kind(format!("`{name}`: {error}"), hint))?.extract()?;
+    let hint = "give numbers, words and dictionaries, by the keys that docs/pipeline.schema.json tells";
+    let py = value.py();
+    // NumPy's numbers and arrays are plain ones there.
+    let plain = PyCFunction::new_closure(py, None, None, |arguments, _| -> PyResult<Py<PyAny>> {
+        let given = arguments.get_item(0)?;
+        if given.hasattr("tolist")? {
+            return given.call_method0("tolist").map(Bound::unbind);
+        }
+        Err(PyTypeError::new_err(format!("has {}, which is no number, word or dictionary", argument::came(&given))))
+    })?;
+    let settings = [("default", plain.into_any()), ("allow_nan", PyBool::new(py, false).to_owned().into_any())];
+    let text = py.import("json")?.call_method("dumps", (value,), Some(&settings.into_py_dict(py)?));
+    let text: String = text
+        .map_err(|error| {
+            if error.is_instance_of::<PyTypeError>(py) {
+                fault::kind(format!("`{name}` {}", error.value(py)), hint)
+            } else {
+                fault::value(format!("`{name}` is {}, expected finite numbers", argument::came(value)), hint)
+            }
+        })?
+        .extract()?;
     let said: Json =
         serde_json::from_str(&text).map_err(|error| fault::value(format!("`{name}` is {text}: {error}"), hint))?;
     if let Some(Hinted { what, hint, .. }) = value_fault::<T>(name, &said) {

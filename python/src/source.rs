@@ -1,7 +1,7 @@
 //! Sources in Python: the program makes its messages in a loop of its own, and has the rights and duties of a source in Rust.
 
 use crate::fault;
-use crate::joined::{self, Inputs, Joined};
+use crate::joined::{self, Inputs, Joined, Place};
 use crate::payload::{HeaderChange, Payload};
 use crate::settings;
 use conicflow_dataflow::{PulledSource, join_as_source, monotonic_ns, tell_frame, unix_ns};
@@ -9,7 +9,6 @@ use conicflow_messages::{Header, NoiseModel, Text};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// A source of a pipeline; `conicflow.source()` makes it.
 ///
@@ -22,7 +21,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 /// when the run ends, when as many frames are made as are wanted, and when it is replaced; the stream ends where the loop does.
 #[pyclass(frozen, extends = Joined, module = "conicflow")]
 pub(crate) struct Source {
-    pulled: Mutex<Option<PulledSource>>,
+    pulled: Place<PulledSource>,
     inputs: Inputs,
     /// Whether it was told what the images are like.
     is_told: AtomicBool,
@@ -37,14 +36,10 @@ pub(crate) fn source(py: Python<'_>, total: Option<u64>) -> PyResult<Bound<'_, S
     let pulled = joined::join(py, || join_as_source(total))?;
     let joined = Joined::new(py, pulled.as_ref().map(|pulled| (pulled.context(), pulled.parameters())))?;
     let is_told = AtomicBool::new(joined.context.resume_at > 0);
-    Bound::new(py, (Source { pulled: Mutex::new(pulled), inputs: Inputs::default(), is_told }, joined))
+    Bound::new(py, (Source { pulled: Place::new(pulled), inputs: Inputs::default(), is_told }, joined))
 }
 
 impl Source {
-    fn pulled(&self) -> MutexGuard<'_, Option<PulledSource>> {
-        self.pulled.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// The header of a frame of which nothing was said.
     fn header(name: &str) -> Header {
         let (noise, source) = (NoiseModel::KINECT_V1, Text::new(name));
@@ -73,7 +68,9 @@ impl Source {
     /// The latest messages of the further inputs, by their names, as of the present frame; each may be missing.
     #[getter]
     fn inputs<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let found = py.detach(|| self.pulled().as_ref().map(|pulled| joined::found(pulled.side_inputs())));
+        let found = py.detach(|| {
+            Ok::<_, PyErr>(self.pulled.lock()?.as_ref().map(|pulled| joined::found(pulled.side_inputs())))
+        })?;
         let found = found.unwrap_or_default();
         let inputs = PyDict::new(py);
         self.inputs.add_all(&inputs, found, monotonic_ns())?;
@@ -82,7 +79,7 @@ impl Source {
 
     fn __next__(&self, py: Python<'_>) -> PyResult<Option<u64>> {
         py.check_signals()?;
-        py.detach(|| match &mut *self.pulled() {
+        py.detach(|| match &mut *self.pulled.lock()? {
             Some(pulled) => pulled.next_number().map_err(|error| fault::run(&error)),
             None => Ok(None),
         })
@@ -105,7 +102,7 @@ impl Source {
         if output.is_image() && !header.camera.has_intrinsics() {
             return Err(fault::value("a depth image needs its camera", settings::CAMERA));
         }
-        slf.py().detach(|| match &mut *source.pulled() {
+        slf.py().detach(|| match &mut *source.pulled.lock()? {
             Some(pulled) => {
                 let next = pulled.sequence();
                 if let Some(wanted) = wanted.filter(|wanted| *wanted < next) {
@@ -123,9 +120,9 @@ impl Source {
     }
 
     /// Adds to a counter that the summary of the run shows.
-    #[pyo3(signature = (name, times = 1))]
-    fn count(&self, py: Python<'_>, name: &str, times: u64) {
-        py.detach(|| self.pulled().iter_mut().for_each(|pulled| pulled.count(name, times)));
+    #[pyo3(signature = (name, times = None), text_signature = "($self, name, times=1)")]
+    fn count(&self, py: Python<'_>, name: &str, times: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
+        self.pulled.count(py, name, times)
     }
 
     #[pyo3(signature = (kind, exception, _traceback))]
@@ -136,10 +133,6 @@ impl Source {
         exception: &Bound<'_, PyAny>,
         _traceback: &Bound<'_, PyAny>,
     ) -> PyResult<()> {
-        let Some(pulled) = self.pulled().take() else { return Ok(()) };
-        if kind.is_none() {
-            return py.detach(|| pulled.end()).map_err(|error| fault::run(&error));
-        }
-        joined::failed(py, exception, pulled.frame(), pulled.has_begun())
+        self.pulled.leave(py, kind, exception)
     }
 }

@@ -1,13 +1,12 @@
 //! Stages in Python: the program asks for its messages in a loop of its own, and has the rights and duties of a stage in Rust.
 
 use crate::fault;
-use crate::joined::{self, Inputs, Joined};
+use crate::joined::{self, Inputs, Joined, Place};
 use crate::message::{Lender, Message};
 use crate::payload::{HeaderChange, Payload};
 use conicflow_dataflow::{ItemType, Pulled, PulledStage, join_as_stage};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 /// So long it waits at most before it looks around.
@@ -24,7 +23,7 @@ const PATIENCE: Duration = Duration::from_millis(100);
 /// `send` gives an empty list.
 #[pyclass(frozen, extends = Joined, module = "conicflow")]
 pub(crate) struct Stage {
-    pulled: Mutex<Option<PulledStage>>,
+    pulled: Place<PulledStage>,
     topic: String,
     item: Option<ItemType>,
     lender: Lender,
@@ -44,13 +43,7 @@ pub(crate) fn stage(py: Python<'_>, same_frame: Vec<String>) -> PyResult<Bound<'
         .map(|pulled| pulled.input())
         .map_or((String::new(), None), |(topic, item)| (topic.to_owned(), Some(item.clone())));
     let (lender, inputs) = (Lender::default(), Inputs::default());
-    Bound::new(py, (Stage { pulled: Mutex::new(pulled), topic, item, lender, inputs }, joined))
-}
-
-impl Stage {
-    fn pulled(&self) -> MutexGuard<'_, Option<PulledStage>> {
-        self.pulled.lock().unwrap_or_else(PoisonError::into_inner)
-    }
+    Bound::new(py, (Stage { pulled: Place::new(pulled), topic, item, lender, inputs }, joined))
 }
 
 #[pymethods]
@@ -61,7 +54,7 @@ impl Stage {
         }
         loop {
             py.check_signals()?;
-            let pulled = py.detach(|| match &mut *self.pulled() {
+            let pulled = py.detach(|| match &mut *self.pulled.lock()? {
                 Some(pulled) => pulled.pull(PATIENCE).map_err(|error| fault::run(&error)),
                 None => Ok(Pulled::Over),
             })?;
@@ -69,7 +62,7 @@ impl Stage {
                 (Pulled::Nothing, _) => {}
                 (Pulled::Message(message, received_ns), Some(item)) => {
                     let message = Message::new(py, &self.topic, item, message, received_ns, &self.lender)?;
-                    let found = self.pulled().as_ref().map(|pulled| joined::found(pulled.side_inputs()));
+                    let found = self.pulled.lock()?.as_ref().map(|pulled| joined::found(pulled.side_inputs()));
                     self.inputs.add_all(message.get().inputs(py), found.unwrap_or_default(), received_ns)?;
                     return Ok(Some(message));
                 }
@@ -90,7 +83,7 @@ impl Stage {
         };
         let (payload, change) = (Payload::new(output, items)?, HeaderChange::new(header)?);
         let stage = slf.get();
-        slf.py().detach(|| match &mut *stage.pulled() {
+        slf.py().detach(|| match &mut *stage.pulled.lock()? {
             Some(pulled) => pulled
                 .send(|header| change.apply(header, &payload), &payload.bytes)
                 .map_err(|error| fault::told(&error)),
@@ -99,9 +92,9 @@ impl Stage {
     }
 
     /// Adds to a counter that the summary of the run shows.
-    #[pyo3(signature = (name, times = 1))]
-    fn count(&self, py: Python<'_>, name: &str, times: u64) {
-        py.detach(|| self.pulled().iter_mut().for_each(|pulled| pulled.count(name, times)));
+    #[pyo3(signature = (name, times = None), text_signature = "($self, name, times=1)")]
+    fn count(&self, py: Python<'_>, name: &str, times: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
+        self.pulled.count(py, name, times)
     }
 
     #[pyo3(signature = (kind, exception, _traceback))]
@@ -112,10 +105,6 @@ impl Stage {
         exception: &Bound<'_, PyAny>,
         _traceback: &Bound<'_, PyAny>,
     ) -> PyResult<()> {
-        let Some(pulled) = self.pulled().take() else { return Ok(()) };
-        if kind.is_none() {
-            return py.detach(|| pulled.end()).map_err(|error| fault::run(&error));
-        }
-        joined::failed(py, exception, pulled.frame(), pulled.has_begun())
+        self.pulled.leave(py, kind, exception)
     }
 }

@@ -1,10 +1,11 @@
 //! The tracker: objects of successive frames in, tracks out.
 
-use crate::{detector, fault, record, settings};
+use crate::{argument, detector, fault, record, settings};
 use conicflow_detection::{Tracker, TrackerParameters};
 use conicflow_messages::is_rotation;
 use pyo3::prelude::*;
 use pyo3::types::PyList;
+use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 
 /// Gives the objects of successive frames of one camera, or of several that tell their poses, an identity, a velocity and a
@@ -12,7 +13,36 @@ use std::sync::{Mutex, PoisonError};
 ///
 /// parameters: a dictionary with parameters of the node `kalman_tracker`; those that are left out have their defaults.
 #[pyclass(frozen, name = "Tracker", module = "conicflow")]
-pub(crate) struct PyTracker(Mutex<Tracker>);
+pub(crate) struct PyTracker {
+    tracker: Mutex<Tracker>,
+    stamps: Mutex<Stamps>,
+}
+
+/// No camera takes frames that are less apart than this ...
+const TOO_CLOSE_NS: u64 = 100_000;
+/// ... so many times in a row.
+const TIMES: u32 = 3;
+
+/// Tells stamps in milli- or microseconds from those in nanoseconds.
+#[derive(Default)]
+struct Stamps {
+    /// By the camera's number, the last stamp, and how often in a row it was too close to the one before.
+    last: BTreeMap<u32, (u64, u32)>,
+    has_told: bool,
+}
+
+impl Stamps {
+    /// Whether to warn: once, where frames of a camera seem to come too fast. What stands still or goes back is no stamp.
+    fn look(&mut self, camera: u32, stamp_ns: u64) -> bool {
+        let (last, times) = self.last.get(&camera).copied().unwrap_or((stamp_ns, 0));
+        let is_close = stamp_ns > last && stamp_ns - last < TOO_CLOSE_NS;
+        let times = if is_close { times + 1 } else { 0 };
+        self.last.insert(camera, (stamp_ns, times));
+        let tells = times >= TIMES && !self.has_told;
+        self.has_told |= tells;
+        tells
+    }
+}
 
 #[pymethods]
 impl PyTracker {
@@ -20,38 +50,56 @@ impl PyTracker {
     #[pyo3(signature = (parameters = None))]
     fn new(parameters: Option<&Bound<'_, PyAny>>) -> PyResult<Self> {
         let parameters = settings::parameters("parameters", parameters, TrackerParameters::faults)?;
-        Ok(Self(Mutex::new(Tracker::new(parameters))))
+        Ok(Self { tracker: Mutex::new(Tracker::new(parameters)), stamps: Mutex::default() })
     }
 
     /// The tracks that are alive after a frame, by identity, in the camera frame.
     ///
     /// objects: those that `detect` found in the frame.
-    /// stamp_ns: when it was taken, in nanoseconds.
+    /// stamp_ns: when it was taken, in nanoseconds, a whole number. Where stamps stand still or go back, the parameter
+    ///     `assumed_rate_hz` stands for them.
     /// world_from_camera: the camera's pose, 3x4 or 4x4, `[R | t]` with t in metres. None: as before, or standing still.
     /// camera: which of several cameras with poses, by a number. What one of them alone sees, the others do not miss.
-    #[pyo3(signature = (objects, stamp_ns, world_from_camera = None, camera = 0))]
+    #[pyo3(
+        signature = (objects, stamp_ns, world_from_camera = None, camera = None),
+        text_signature = "($self, objects, stamp_ns, world_from_camera=None, camera=0)"
+    )]
     fn update<'py>(
         &self,
         py: Python<'py>,
         objects: &Bound<'py, PyAny>,
-        stamp_ns: u64,
+        stamp_ns: &Bound<'py, PyAny>,
         world_from_camera: Option<&Bound<'py, PyAny>>,
-        camera: u32,
+        camera: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyList>> {
-        let objects = detector::objects(objects)?;
+        let (objects, stamp_ns) = (detector::objects(objects)?, argument::stamp_ns(stamp_ns)?);
+        let camera = match camera {
+            Some(camera) => argument::whole("camera", camera, u32::MAX.into(), "number the cameras from 0")? as u32,
+            None => 0,
+        };
         let pose = world_from_camera.map(pose).transpose()?;
         if pose.is_none() && camera > 0 {
             let hint = "give `world_from_camera` with each frame: only so are several cameras in one world";
             return Err(fault::value("a camera by its number has no pose", hint));
         }
+        if py.detach(|| self.stamps.lock().unwrap_or_else(PoisonError::into_inner).look(camera, stamp_ns)) {
+            let what = "frames come less than 0.1 ms apart by `stamp_ns`, which is in nanoseconds";
+            let hint = "of milliseconds give stamp * 10**6, of microseconds stamp * 1000";
+            fault::warn(py, what, hint)?;
+        }
         let tracks = py.detach(|| {
-            let mut tracker = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut tracker = self.tracker.lock().unwrap_or_else(PoisonError::into_inner);
             match pose {
                 Some(pose) => tracker.update_from(camera, &objects, stamp_ns, pose).map(<[_]>::to_vec),
                 None => Ok(tracker.update(&objects, stamp_ns).to_vec()),
             }
         });
-        record::list_of(py, &tracks.map_err(|error| fault::value(error.to_string(), ""))?)
+        record::list_of(py, &tracks.map_err(|error| fault::told(&error))?)
+    }
+
+    /// It lies in memory of this process.
+    fn __reduce__(&self) -> PyResult<Py<PyAny>> {
+        Err(fault::kind("a Tracker cannot be copied or pickled", "make one where it is used: Tracker(parameters)"))
     }
 }
 

@@ -3,6 +3,7 @@
 import gc
 import itertools
 import json
+import pickle
 import subprocess
 import sys
 
@@ -113,6 +114,25 @@ def test_lists_may_be_kept_without_bound(running):
     assert len({message.sequence for message in messages}) == 40
 
 
+def test_a_message_is_not_pickled(running):
+    for message in take(conicflow.read("depth", "objects"), 2):
+        with pytest.raises(TypeError, match="cannot be copied or pickled\n  hint: pickle message.items, message.image.copy"):
+            pickle.dumps(message)
+
+
+def test_an_arc_of_the_widest_image_is_unpickled(running):
+    message = next(message for message in conicflow.read("ellipses") if message.items)
+    arc, array = message.items[0], message.array[:1].copy()
+    make, (layout, _) = arc.__reduce__()
+    for scan in (0, 1):
+        array["scan"], array["line"], array["first"], array["last"] = scan, 4000, 16_000, 16_383
+        wide = make(layout, array.tobytes())
+        assert wide.last == 16_383 and pickle.loads(pickle.dumps(wide)) == wide
+        array["last"] = 16_384
+        with pytest.raises(ValueError, match="16385"):
+            make(layout, array.tobytes())
+
+
 def test_several_topics_come_by_their_names(running):
     reader = conicflow.read("depth", "objects", pipeline="tested")
     seen = set()
@@ -150,6 +170,8 @@ def test_without_a_pipeline_there_is_a_hint(playground):
         conicflow.read("objects")
     with pytest.raises(TypeError, match="got no topic"):
         conicflow.read()
+    with pytest.raises(TypeError, match="`topic` is \\['objects'\\] \\(list\\), expected a str\n  hint: give each topic by its name"):
+        conicflow.read(["objects"])
 
 
 def test_ctrl_c_ends_a_reader_that_waits(playground):

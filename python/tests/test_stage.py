@@ -330,14 +330,25 @@ import conicflow
 import numpy as np
 
 with conicflow.stage() as stage, open("told.txt", "w") as told:
+    early = None
+    try:
+        stage.send([])
+    except ValueError as error:
+        early = str(error)
     for message in stage:
+        assert early.startswith("a stage sends in answer to a message, and it has none\\n  hint: "), early
         broken = np.zeros(1, dtype=stage.dtype)
         broken["radius"] = np.nan
-        for nonsense in (broken, np.zeros(3), ["ball"], 7):
+        named = [("stamp_ns", 4.5), ("sequence", 4.5), ("scale", "x"), ("source", 4)]
+        wrong = [lambda items=items: stage.send(items) for items in (broken, np.zeros(3), ["ball"], 7)]
+        wrong += [lambda name=name, value=value: stage.send([], **{name: value}) for name, value in named]
+        wrong += [lambda: stage.count("a", -1)]
+        for call in wrong:
             try:
-                stage.send(nonsense)
+                call()
             except (TypeError, ValueError) as error:
-                print(type(error).__name__, str(error).splitlines()[0], file=told)
+                what, hint = str(error).split("\\n  hint: ")
+                print(type(error).__name__, what, file=told)
         stage.send([])
         try:
             stage.send([])
@@ -353,7 +364,12 @@ with conicflow.stage() as stage, open("told.txt", "w") as told:
     told = path.read_text().splitlines()
     assert told[0].startswith("ValueError malformed objects: ") and "dimensions of float64" in told[1]
     assert "TypeError a str is no item of objects" == told[2] and told[3].startswith("TypeError")
-    assert told[4] == "a stage sends one message for each that it takes"
+    assert told[4] == "TypeError `stamp_ns` is 4.5 (float), expected a whole number from 0 to 18446744073709551615"
+    assert told[5].startswith("TypeError `sequence` is 4.5 (float), expected a whole number")
+    assert told[6] == "TypeError `scale` is 'x' (str), expected a number"
+    assert told[7] == "TypeError `source` is 4 (int), expected a str"
+    assert told[8].startswith("ValueError `times` is -1 (int), expected a whole number")
+    assert told[9] == "a stage sends one message for each that it takes"
 
 
 def test_outside_of_a_run_there_is_a_hint_and_the_program_can_be_interrupted_as_before():

@@ -45,7 +45,7 @@ use crate::ports::{PortError, Topic, Transport, Wiring};
 use crate::side_inputs::{Pairing, SideInput};
 use crate::stage::{Context, StageError};
 use crate::status::{Life, StatusFile};
-use conicflow_messages::{AnyByte, Hinted, Nothing, Text, lasts};
+use conicflow_messages::{AnyByte, Hinted, Malformed, Nothing, Text, lasts};
 use handover::{Handover, Successor};
 use output_port::OutputPort;
 use peers::Peers;
@@ -104,6 +104,14 @@ pub enum RunError {
     /// Its ports failed.
     #[error(transparent)]
     Port(#[from] PortError),
+}
+
+impl RunError {
+    /// A program was to send what no reader would take.
+    fn of_malformed(error: Malformed) -> Self {
+        let hint = "readers would refuse the message: mend what is named, or leave it out";
+        Self::Refused(Hinted::new(error.to_string(), hint).into())
+    }
 }
 
 /// An error and what caused it, but for what the text tells already.

@@ -89,7 +89,7 @@ impl PulledSource {
         let place = &mut self.place;
         let Some(item) = place.output_port.item().cloned() else { return Ok(()) };
         let header = place.numbered(header);
-        item.check(&header, bytes).map_err(|error| RunError::Refused(error.into()))?;
+        item.check(&header, bytes).map_err(RunError::of_malformed)?;
         place.output_port.write(bytes)?;
         let making = self.started.replace(Instant::now()).map_or(Duration::ZERO, |started| started.elapsed());
         self.is_over |= !place.send(header, making, None)?;

@@ -141,13 +141,18 @@ impl PulledStage {
                 "name a topic there, with what it carries",
             ));
         };
-        let step = self.step.as_mut().filter(|step| !step.has_sent).ok_or_else(|| {
-            fault("a stage sends one message for each that it takes", "send all items of a frame as one list")
+        let step = self.step.as_mut().ok_or_else(|| {
+            let hint = "send within the loop over its messages; what begins by itself is a source";
+            fault("a stage sends in answer to a message, and it has none", hint)
         })?;
+        if step.has_sent {
+            let hint = "send all items of a frame as one list";
+            return Err(fault("a stage sends one message for each that it takes", hint));
+        }
         let mut header = step.header;
         change(&mut header);
         let header = of_same_frame(header, &step.header);
-        item.check(&header, bytes).map_err(|error| RunError::Refused(error.into()))?;
+        item.check(&header, bytes).map_err(RunError::of_malformed)?;
         let started = Instant::now();
         self.place.output_port.write(bytes)?;
         self.is_over |= is_stopped(self.place.output_port.send(header, step.received_ns, None))?;
