@@ -171,7 +171,8 @@ impl Target {
     /// The same for a target that changed its velocity when it was last seen. Only its size tells it from others, and so has to fit.
     pub fn cost_of_manoeuvre(&self, detection: &Detection, time: &Advance, config: &TrackerParameters) -> Option<f64> {
         let is_recent = self.life.misses == 0 || self.life.unseen_s <= MANOEUVRE_UNSEEN_S;
-        let looks_alike = self.kind == detection.kind && self.radius.distance2(detection.radius) < config.gate;
+        let looks_alike =
+            self.kind == detection.kind && self.shape.radius.distance2(detection.shape.radius) < config.gate;
         let may_be = is_recent && looks_alike && config.manoeuvre_mps > 0.0;
         may_be.then(|| self.cost_of(&self.pushed(time, config), detection, config))?
     }
