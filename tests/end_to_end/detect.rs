@@ -62,12 +62,14 @@ fn what_says_how_to_draw_wants_something_to_be_drawn() {
 fn frames_that_lie_deeper_and_links_that_lead_nowhere_are_told_of() {
     let playground = Playground::new();
     fs::create_dir_all(playground.path("nest/seq")).unwrap();
-    std::os::unix::fs::symlink("/nowhere/1.png", playground.path("nest/1.png")).unwrap();
+    std::os::unix::fs::symlink("/nowhere/seq", playground.path("nest/next")).unwrap();
     playground.conicflow(&["detect", "nest"]).expect_code(2).expect_told(&[
         "and no other files; 1 folders are in it, such as `seq`: name that which has them; 1 links lead nowhere",
     ]);
     let taken_for_a_file = playground.conicflow(&["run", "nest"]).expect_code(2);
     taken_for_a_file.expect_told(&["hint: `conicflow detect` takes frames and recordings"]);
+    std::os::unix::fs::symlink("/nowhere/1.png", playground.path("nest/1.png")).unwrap();
+    playground.conicflow(&["detect", "nest"]).expect_code(2).expect_told(&["1.png`: a link that leads nowhere"]);
 }
 
 #[test]
