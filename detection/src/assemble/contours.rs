@@ -48,17 +48,19 @@ const EDGE_WIDTH: f64 = 2.0; // [measured]
 
 /// Standard deviations by which an object that has not moved seems to have, at most.
 const STILL: f64 = 3.0; // [sigmas]
-/// What counts for less of an object than this is forgotten.
-const FADED: f64 = 0.01; // [algorithmic]
+/// What was not seen in so many images counts as another object when it is seen again, which bounds the work.
+const RECENT_IMAGES: u32 = 30; // [algorithmic]
 
 /// The contour of one object after another, each fitted with what the earlier ones showed of the bias of contours.
 #[derive(Debug, Default)]
 pub(crate) struct Contours {
     contour: Contour,
     camera: Camera,
-    /// What each object showed.
-    shown: Vec<Shown>,
-    /// What all of them showed, in rows and in columns.
+    /// What each object of recent images showed.
+    recent: Vec<Shown>,
+    /// What those before showed, in rows and in columns.
+    before: [Learned; 2],
+    /// What all of them showed.
     learned: [Learned; 2],
 }
 
@@ -68,6 +70,7 @@ struct Shown {
     object: Object,
     direction: usize,
     learned: Learned,
+    images_ago: u32,
 }
 
 /// What objects showed of contours.
@@ -124,14 +127,23 @@ impl Contours {
     pub fn next_image(&mut self, camera: &Camera, memory: f64) {
         let kept = if *camera == self.camera { memory / (memory + 1.0) } else { 0.0 };
         self.camera = *camera;
-        self.shown.iter_mut().for_each(|shown| shown.learned = shown.learned.times(kept));
-        self.shown.retain(|shown| shown.learned.objects >= FADED);
+        self.before = self.before.map(|learned| learned.times(kept));
+        let Self { recent, before, .. } = self;
+        recent.retain_mut(|shown| {
+            shown.learned = shown.learned.times(kept);
+            shown.images_ago += 1;
+            let is_recent = shown.images_ago <= RECENT_IMAGES;
+            if !is_recent {
+                before[shown.direction] += shown.learned;
+            }
+            is_recent
+        });
         self.sum_up();
     }
 
     fn sum_up(&mut self) {
-        self.learned = Default::default();
-        self.shown.iter().for_each(|shown| self.learned[shown.direction] += shown.learned);
+        self.learned = self.before;
+        self.recent.iter().for_each(|shown| self.learned[shown.direction] += shown.learned);
     }
 
     /// What objects showed of contours, in rows and in columns, as far as any did.
@@ -165,8 +177,7 @@ impl Contours {
     }
 
     /// Learns from an object where contours lie, and how far their points scatter. What is its own, and most of its noise, is in
-    /// each image of it the same: so what it showed before counts no more, unless it has
-    /// surely moved since.
+    /// each image of it the same: so what it showed before counts no more, unless it has surely moved since.
     pub fn learn(&mut self, region: &Region, object: &Object) {
         let own = covariance(own_px(window_px(region)), SYSTEMATIC);
         let contour = self.select_points(region);
@@ -180,8 +191,8 @@ impl Contours {
             let radii_px = sides.map(|(points, radius_px)| points as f64 * radius_px);
             let learned = Learned { bias, noise, objects: 1.0, points, radii_px, window_px: window_px(region) };
             let direction = direction(region.ends()[0].scan);
-            self.shown.retain(|shown| shown.direction != direction || !is_still(&shown.object, object));
-            self.shown.push(Shown { object: *object, direction, learned });
+            self.recent.retain(|shown| shown.direction != direction || !is_still(&shown.object, object));
+            self.recent.push(Shown { object: *object, direction, learned, images_ago: 0 });
             self.sum_up();
         }
     }
@@ -330,10 +341,8 @@ mod tests {
         let bias = Information::of(&Vector4::new(-0.5, -0.01, -0.5, 0.02), &covariance(1e-5, 1e-6)).unwrap();
         let learned =
             Learned { bias, objects: 3.0, points: [10.0, 4.0], radii_px: [200.0, 40.0], ..Learned::default() };
-        let shown = vec![Shown { object: ball_at(0.0), direction: direction(Scan::Column), learned }];
-        let mut contours = Contours { camera: CAMERA, shown, ..Contours::default() };
-        contours.sum_up();
-        contours
+        let learned = [Learned::default(), learned];
+        Contours { camera: CAMERA, before: learned, learned, ..Contours::default() }
     }
 
     #[test]
@@ -419,6 +428,12 @@ mod tests {
         assert_eq!((both.objects, both.sides[0].points), (2.0, 2.0 * often[19].sides[0].points));
         let gone = told(&[1.0]);
         assert!((gone.objects - 1.8).abs() < 1e-12, "what is not seen any more counts less: {gone:?}");
+        (0..RECENT_IMAGES).for_each(|_| drop(told(&[1.0])));
+        let again = told(&[0.2, 1.0]);
+        assert!(
+            (again.objects - 2.0 - 0.8_f64.powi(RECENT_IMAGES as i32 + 2)).abs() < 1e-12,
+            "after long it is another one: {again:?}"
+        );
     }
 
     #[test]
