@@ -431,7 +431,7 @@ mod tests {
         (0..RECENT_IMAGES).for_each(|_| drop(told(&[1.0])));
         let again = told(&[0.2, 1.0]);
         assert!(
-            (again.objects - 2.0 - 0.8_f64.powi(RECENT_IMAGES as i32 + 2)).abs() < 1e-12,
+            (again.objects - 2.0 - 0.8_f64.powi(RECENT_IMAGES.cast_signed() + 2)).abs() < 1e-12,
             "after long it is another one: {again:?}"
         );
     }
