@@ -428,7 +428,9 @@ mod tests {
         assert_eq!((both.objects, both.sides[0].points), (2.0, 2.0 * often[19].sides[0].points));
         let gone = told(&[1.0]);
         assert!((gone.objects - 1.8).abs() < 1e-12, "what is not seen any more counts less: {gone:?}");
-        (0..RECENT_IMAGES).for_each(|_| drop(told(&[1.0])));
+        for _ in 0..RECENT_IMAGES {
+            told(&[1.0]);
+        }
         let again = told(&[0.2, 1.0]);
         assert!(
             (again.objects - 2.0 - 0.8_f64.powi(RECENT_IMAGES.cast_signed() + 2)).abs() < 1e-12,
