@@ -16,7 +16,6 @@ use crate::ports::capacity::{HELD, LOANED, ROOM_PER_PORT, message_bytes, taken};
 use crate::ports::{Delivery, MAX_KEPT, Topic, TopicReader};
 use crate::side_inputs::{Pairing, SideInput};
 use insufficient::enough;
-use std::collections::BTreeSet;
 
 /// Messages that a reader holds of a side input that waits for its frame: those that are kept, and the one in use.
 const HELD_FOR_FRAME: usize = MAX_KEPT + 1;
@@ -30,7 +29,7 @@ const FILES_OF_NETWORK: u64 = 64;
 /// ... and those in which it keeps messages of an edge until they are acknowledged.
 const FILES_PER_LOSSLESS_EDGE: u64 = 64; // [derived]
 /// Open files of a launcher without topics: 13, and those that it looks into. For each topic it has three services open, each in
-/// two files, and it holds a program of one's own by one.
+/// two files (121 in all with 18 topics), and it holds a program of one's own by one.
 const FILES_OF_LAUNCHER: u64 = 24; // [measured]
 const FILES_PER_KEPT_TOPIC: u64 = 6; // [measured]
 
@@ -72,8 +71,8 @@ impl Requirements {
                 }
             }
         }
-        let kept: BTreeSet<_> = plan.topics().map(|topic| &topic.name).collect();
-        let of_launcher = FILES_OF_LAUNCHER + FILES_PER_KEPT_TOPIC * kept.len() as u64 + plan.stages.len() as u64;
+        let of_launcher =
+            FILES_OF_LAUNCHER + FILES_PER_KEPT_TOPIC * plan.topics().count() as u64 + plan.stages.len() as u64;
         Self { topics, open_files: plan.stages.iter().map(open_files).fold(of_launcher, u64::max) }
     }
 
