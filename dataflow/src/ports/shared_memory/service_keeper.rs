@@ -7,7 +7,6 @@ use super::acknowledgements::Acknowledgements;
 use super::services::{EventFactory, SharedMemory};
 use super::untyped::Factory;
 use crate::ports::{PortError, Topic};
-use std::collections::BTreeMap;
 use std::time::Duration;
 
 /// The services of topics, for as long as this is held.
@@ -31,14 +30,14 @@ impl ServiceKeeper {
 }
 
 impl SharedMemory {
-    /// Creates the services of these topics, of each once, however often it is named. Where nothing tells what a topic carries, its programs alone know, and its
+    /// Creates the services of these topics. Where nothing tells what a topic carries, its programs alone know, and its
     /// messages' service is theirs to create.
     ///
     /// # Errors
     /// Shared memory failed.
     pub fn keep_services<'a>(self, topics: impl Iterator<Item = &'a Topic>) -> Result<ServiceKeeper, PortError> {
         let (mut messages, mut events) = (Vec::new(), Vec::new());
-        for topic in each_once(topics) {
+        for topic in topics {
             if let Some(folder) = self.folder_of(topic) {
                 let fault = |error| self.fault(format!("topic `{}` cannot be noted of", topic.name), error);
                 Acknowledgements::create(folder, topic).map_err(fault)?;
@@ -49,22 +48,5 @@ impl SharedMemory {
             events.extend([self.event(topic, "/wake")?, self.event(topic, "/room")?]);
         }
         Ok(ServiceKeeper { _messages: messages, _events: events, memory: self })
-    }
-}
-
-/// The topics, each once.
-fn each_once<'a>(topics: impl Iterator<Item = &'a Topic>) -> impl Iterator<Item = &'a Topic> {
-    topics.map(|topic| (&topic.name, topic)).collect::<BTreeMap<_, _>>().into_values()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_topic_that_several_stages_name_is_kept_once() {
-        let topics = ["depth", "objects", "depth"].map(|name| Topic { name: name.to_owned(), ..Topic::default() });
-        let kept: Vec<_> = each_once(topics.iter()).map(|topic| topic.name.as_str()).collect();
-        assert_eq!(kept, ["depth", "objects"]);
     }
 }
