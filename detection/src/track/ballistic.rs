@@ -1,17 +1,11 @@
-//! Free fall: the motion of a thrown ball, which goes on while nobody sees it, and bounces.
-//!
-//! A ball that lies does not fall, so both motions are predicted, and how well each explained the last sights decides
-//! which of them holds: `S <- 0.6 S + d2(steady) - d2(falling)`, with the squared Mahalanobis distances of each sight.
+//! Free fall: the motion of a thrown ball, which goes on while nobody sees it, and bounces. A ball that lies does not fall: which of
+//! both it does is told by its sights ([`super::motions`]).
 
 use super::filter::Motion;
 use crate::gravity;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// How much of what earlier sights said is kept.
-const MEMORY: f64 = 0.6; // [tuned]
-/// One sight says no more than this: an outlier does not make a ball fall.
-const MOST_SAID: f64 = 4.0; // [sigmas]
 /// Standard deviation of the speed after a bounce, as a share of it: no floor is level and no ball the same all around.
 const BOUNCE_SPREAD: f64 = 0.1; // [tuned]
 
@@ -56,26 +50,6 @@ impl Ballistic {
     }
 }
 
-/// Whether an object falls, as far as its sights tell.
-#[derive(Clone, Debug, Default)]
-pub struct Fall {
-    score: f64,
-    /// The motion that was predicted for the case that does not hold.
-    pub other: Option<Motion>,
-}
-
-impl Fall {
-    /// Whether it falls.
-    pub fn holds(&self) -> bool {
-        self.score > 0.0
-    }
-
-    /// Takes in how far a sight is from what both motions predict, as squared Mahalanobis distances.
-    pub fn weigh(&mut self, steady: f64, falling: f64) {
-        self.score = MEMORY * self.score + (steady - falling).clamp(-MOST_SAID, MOST_SAID);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -108,15 +82,5 @@ mod tests {
         assert!((doubt.sqrt() - BOUNCE_SPREAD * 4.0).abs() < 1e-12);
         let rising = ballistic.fallen(motion(0.58, 3.0), 0.1, 0.1, true);
         assert_eq!(rising.state, motion(0.58, 3.0).state);
-    }
-
-    #[test]
-    fn one_outlier_does_not_make_it_fall() {
-        let mut fall = Fall::default();
-        (0..9).for_each(|_| fall.weigh(1.0, 9.0));
-        fall.weigh(100.0, 0.0); // -10 * 0.6 + 4
-        assert!(!fall.holds());
-        (0..2).for_each(|_| fall.weigh(5.0, 1.0));
-        assert!(fall.holds());
     }
 }

@@ -18,6 +18,8 @@ pub struct Detection {
     pub covariance: Matrix3<f64>,
     /// What it is like, wherever it is.
     pub shape: ShapeParameters,
+    /// How long after it the state is that it is compared with, in seconds.
+    pub late_s: f64,
 }
 
 /// The parameters of an object besides its place: each is followed by a filter of its own.
@@ -77,19 +79,13 @@ impl Detection {
                     .map(|axis| Axis::new(axis, 0.5 * variance(sigma.axis, config.floor_axis_deg.to_radians()))),
                 half_angle: kind.has_half_angle().then_some(half_angle),
             },
+            late_s: 0.0,
         }
     }
 
-    /// What it tells of the state of an object `seconds` later: its variances grow by what moves and changes an object in that time.
-    ///
-    /// The noise `Q` of acceleration adds `[I, -dt I] Q [I, -dt I]' = q dt^3 / 3` to the variance of the position.
-    pub fn told_later(&self, seconds: f64, config: &TrackerParameters) -> Self {
-        let spread = config.acceleration.powi(2) * seconds.powi(3) / 3.0;
-        Self {
-            covariance: self.covariance + Matrix3::from_diagonal_element(spread),
-            shape: self.shape.predicted(seconds, config),
-            ..self.clone()
-        }
+    /// What it tells of the state of an object `late_s` seconds later, in which its shape may change.
+    pub fn told_later(&self, late_s: f64, config: &TrackerParameters) -> Self {
+        Self { late_s, shape: self.shape.predicted(late_s, config), ..self.clone() }
     }
 }
 

@@ -30,6 +30,20 @@ impl Motion {
         Self { state, covariance, acceleration: Vector3::zeros() }
     }
 
+    /// The motion of an object that follows one of several, of these weights: their mean `x`, with the covariance
+    /// `sum w_j (P_j + (x_j - x)(x_j - x)')`.
+    pub fn mixture<'a>(of: impl Iterator<Item = (f64, &'a Self)> + Clone) -> Self {
+        let sum: f64 = of.clone().map(|(weight, _)| weight).sum();
+        let of = of.map(|(weight, motion)| (weight / sum, motion)).filter(|(weight, _)| *weight > 0.0);
+        let state = of.clone().map(|(weight, motion)| motion.state * weight).sum();
+        let spread = |motion: &Self| {
+            let off: Vector6<f64> = motion.state - state;
+            motion.covariance + off * off.transpose()
+        };
+        let covariance = of.map(|(weight, motion)| spread(motion) * weight).sum();
+        Self { state, covariance: symmetric(&covariance), acceleration: Vector3::zeros() }
+    }
+
     /// Position in metres.
     pub fn position(&self) -> Vector3<f64> {
         self.state.fixed_rows::<3>(0).into()
@@ -84,6 +98,13 @@ impl Motion {
     pub fn kicked(&self, dt: f64, speed_sigma: f64) -> Self {
         let noise = blocks(dt * dt, dt, 1.0) * (speed_sigma * speed_sigma);
         Self { covariance: self.covariance + noise, ..self.clone() }
+    }
+
+    /// Whether a measured position can lie within a gate of the squared Mahalanobis distance, which no position does whose distance
+    /// squared is larger than the gate times the trace of the innovation's covariance. That is told faster than the distance itself.
+    pub fn may_be_within(&self, gate: f64, position: &Vector3<f64>, covariance: &Matrix3<f64>) -> bool {
+        let residual2 = (position - self.position()).norm_squared();
+        residual2 <= gate * (self.position_covariance().trace() + covariance.trace())
     }
 
     /// Compares a measured position with the predicted one; `None` if the covariances are not positive definite.
@@ -317,6 +338,36 @@ mod tests {
                 (motion.state - before.state).norm() < 1e-12 && (motion.covariance - before.covariance).norm() < 1e-9
             );
         }
+    }
+
+    /// Two motions of which the object follows one: mean and covariance are those of numbers drawn half from each.
+    #[test]
+    fn a_mixture_is_as_wide_as_its_motions_lie_apart() {
+        let at = |x: f64| Motion::new(Vector3::new(x, 0.0, 2.0), isotropic(0.1), 0.5);
+        let (near, far) = (at(1.0), at(3.0));
+        let both = Motion::mixture([(2.0, &near), (6.0, &far), (0.0, &at(f64::NAN))].into_iter());
+        assert!((both.position() - Vector3::new(2.5, 0.0, 2.0)).norm() < 1e-15);
+        let expected = Vector3::new(0.01 + 0.75, 0.01, 0.01); // 1/4 of 1.5^2 and 3/4 of 0.5^2
+        assert!((both.position_covariance() - Matrix3::from_diagonal(&expected)).norm() < 1e-14);
+        assert!((both.velocity_covariance() - isotropic(0.5)).norm() < 1e-15);
+    }
+
+    #[test]
+    fn a_place_is_ruled_out_at_once_only_outside_the_gate() {
+        let covariance = Matrix3::new(9e-6, 2e-6, 0.0, 2e-6, 4e-6, 1e-6, 0.0, 1e-6, 2.5e-5);
+        let motion = Motion::new(Vector3::zeros(), isotropic(0.002), 0.5);
+        let mut ruled_out = 0;
+        for i in 0..400 {
+            let (angle, height) = (0.7 * f64::from(i), f64::from(i % 20) / 10.0 - 1.0);
+            let beside = f64::sqrt(1.0 - height * height);
+            let direction = Vector3::new(beside * angle.cos(), beside * angle.sin(), height);
+            let place = direction * (0.0001 * f64::from(i));
+            let inside = motion.innovation(&place, &covariance).unwrap().distance2() < 16.0;
+            let may_be = motion.may_be_within(16.0, &place, &covariance);
+            assert!(may_be || !inside, "{place}");
+            ruled_out += u32::from(!may_be);
+        }
+        assert!((50..350).contains(&ruled_out), "{ruled_out}");
     }
 
     #[test]

@@ -1,11 +1,11 @@
 //! The tracker: gives the objects of successive frames an identity, a velocity and a filtered shape.
 //!
-//! Each object has a Kalman filter of constant velocity. Where the camera's pose is known, filtering happens in the world
-//! and the camera may move; positions and velocities are given in the camera frame of the present frame, the velocity
-//! being that in the world, seen along the camera's axes. Without a pose the camera counts as standing still, in a world
-//! of its own ([`worlds`]); a frame that lacks one takes that of the frame before. Of several cameras in one world each
-//! has its pose, and only the one that saw a target last can miss it; each target has a time of its own, and a frame that is
-//! older than that is compared with where the target was then. Thrown balls may be told to fall and bounce
+//! Each object has Kalman filters of nearly constant velocity, one for each way in which it may move ([`motions`]). Where the
+//! camera's pose is known, filtering happens in the world and the camera may move; positions and velocities are given in the camera
+//! frame of the present frame, the velocity being that in the world, seen along the camera's axes. Without a pose the camera counts
+//! as standing still, in a world of its own ([`worlds`]); a frame that lacks one takes that of the frame before. Of several cameras
+//! in one world each has its pose, and only the one that saw a target last can miss it; each target has a time of its own, and a
+//! frame that is older than that is compared with where the target was then. Thrown balls may be told to fall and bounce
 //! ([`ballistic`]).
 
 mod association;
@@ -13,6 +13,7 @@ mod ballistic;
 mod detection;
 mod filter;
 mod life;
+mod motions;
 mod parameters;
 mod target;
 #[cfg(test)]
@@ -130,8 +131,8 @@ impl Tracker {
         let patience_s = self.parameters.max_coast_s.max(USUAL_GAP * time.usual_s);
         self.targets.retain(|target| target.life.unseen_s + time.elapsed_s <= patience_s);
 
-        // T2. Prediction: each target moves on by its filter, or falls and bounces (`filter.rs`, `ballistic.rs`), to the time of
-        //     the frame; where it has taken in a newer one, back (`target.rs`).
+        // T2. Prediction: each target moves on as it may move (`motions.rs`, `filter.rs`, `ballistic.rs`), to the time of the
+        //     frame; where it has taken in a newer one, back (`target.rs`).
         let world_from_camera = self.pose(header, time.source);
         self.predict(&time);
 
@@ -140,7 +141,7 @@ impl Tracker {
         self.detect(objects, &world_from_camera);
         self.associate(&time);
 
-        // T4. Update: what was seen corrects its target, what was not seen is missed (`filter.rs`, `target.rs`).
+        // T4. Update: what was seen corrects its target, what was not seen is missed (`motions.rs`, `target.rs`).
         // T5. Life: a track is confirmed or lost by its record of sights; detections of no target begin tracks (`life.rs`).
         let camera_from_world = world_from_camera.inverse();
         self.tracks.clear();

@@ -13,7 +13,8 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrackerParameters {
-    /// Strength of the random acceleration that objects undergo, in m/s^2 per square root of Hz.
+    /// Strength of the random acceleration that objects usually undergo, in m/s^2 per square root of Hz. A tenth and ten times of it
+    /// are reckoned with, too, and that an object stands.
     #[schemars(range(min = 0.0, max = 1e6))]
     pub acceleration: f64,
     /// Standard deviation of the speed of an object seen for the first time, per axis, in m/s.

@@ -1,9 +1,9 @@
 //! One object that is followed: the filters of its parameters, its shape and its life.
 
-use super::ballistic::Fall;
 use super::detection::{Detection, ShapeParameters, rotated};
 use super::filter::{Motion, Size};
 use super::life::Life;
+use super::motions::{Fall, Motions};
 use super::parameters::TrackerParameters;
 use super::timeline::Advance;
 use conicflow_messages::{Object, ObjectKind, ObjectSigma, Track, TrackState};
@@ -34,8 +34,7 @@ pub struct Target {
     /// How long and how often it was seen.
     pub life: Life,
     votes: [u32; ObjectKind::ALL.len()],
-    motion: Motion,
-    fall: Fall,
+    motions: Motions,
     shape: ShapeParameters,
     /// So many more sights had the axis of a cone this way than the other way round. An opposite sight at 0 turns it over.
     sense: u32,
@@ -83,8 +82,7 @@ impl Target {
             kind: first.kind,
             life: Life::born(config),
             votes,
-            motion: Motion::new(first.position, first.covariance, config.initial_speed_mps),
-            fall: Fall::default(),
+            motions: Motions::new(first, config),
             shape: first.shape,
             sense: 1,
             common: CommonError::of(first, config.common_share),
@@ -99,11 +97,9 @@ impl Target {
         let mut then = self.clone();
         let dt = (time.at_ns - self.at_ns) as f64 * 1e-9;
         if dt < 0.0 {
-            then.move_in_time(dt);
-            then.motions_mut().for_each(|motion| motion.blur(dt, config.acceleration.powi(2)));
+            then.motions.look_back(-dt, config);
         } else {
-            then.motion.predict(dt, config.acceleration.powi(2));
-            then.fall(dt, has_pose, config);
+            then.motions.predict(dt, self.fall(has_pose, config), config);
             then.at_ns = time.at_ns;
         }
         then.shape = then.shape.predicted(dt.abs(), config);
@@ -118,78 +114,51 @@ impl Target {
         let lag_s = (self.at_ns - time.at_ns).max(0) as f64 * 1e-9;
         match seen {
             Some(seen) if lag_s > 0.0 => {
-                self.move_in_time(-lag_s);
+                self.motions.move_in_time(-lag_s);
                 self.see(&seen.told_later(lag_s, config), time, config);
-                self.move_in_time(lag_s);
+                self.motions.move_in_time(lag_s);
             }
             None if lag_s > 0.0 || then.seen_by != time.source => self.life = then.life.clone(),
             _ => self.clone_from(then),
         }
     }
 
-    /// The motions `seconds` later, or before where that is negative.
-    fn move_in_time(&mut self, seconds: f64) {
-        self.motions_mut().for_each(|motion| motion.move_in_time(seconds));
-    }
-
-    /// The motion that holds, and that of the other hypothesis about whether a ball falls.
-    fn motions_mut(&mut self) -> impl Iterator<Item = &mut Motion> {
-        std::iter::once(&mut self.motion).chain(&mut self.fall.other)
-    }
-
-    /// Of a ball that may fall both motions are predicted: the one that holds, and the other one.
-    fn fall(&mut self, dt: f64, has_pose: bool, config: &TrackerParameters) {
-        let Some(ballistic) = config.ballistic.filter(|_| self.kind == ObjectKind::Sphere) else { return };
-        let steady = self.motion.clone();
-        let falling = ballistic.fallen(steady.clone(), dt, self.shape.radius.value, has_pose);
-        let (holds, other) = if self.fall.holds() { (falling, steady) } else { (steady, falling) };
-        self.motion = holds;
-        self.fall.other = Some(other);
-    }
-
-    /// Chooses between the two motions by a sight.
-    fn weigh_motions(&mut self, detection: &Detection) {
-        let Some(other) = self.fall.other.take() else { return };
-        let distance2 =
-            |motion: &Motion| Some(motion.innovation(&detection.position, &detection.covariance)?.distance2());
-        let (Some(held), Some(rival)) = (distance2(&self.motion), distance2(&other)) else { return };
-        let fell = self.fall.holds();
-        let (steady, falling) = if fell { (rival, held) } else { (held, rival) };
-        self.fall.weigh(steady, falling);
-        if self.fall.holds() != fell {
-            self.motion = other;
-        }
+    /// How it falls, if it may.
+    fn fall(&self, has_pose: bool, config: &TrackerParameters) -> Option<Fall> {
+        let ballistic = config.ballistic.filter(|_| self.kind == ObjectKind::Sphere)?;
+        Some(Fall { ballistic, radius: self.shape.radius.value, has_pose })
     }
 
     /// Minus twice the logarithm of the likelihood that `detection` is this target, up to a constant; `None` outside the
     /// gate or where shape or radius do not fit.
     pub fn cost(&self, detection: &Detection, config: &TrackerParameters) -> Option<f64> {
-        let motions = std::iter::once(&self.motion).chain(&self.fall.other);
-        motions.filter_map(|motion| self.cost_of(motion, detection, config)).min_by(f64::total_cmp)
+        self.cost_of(&self.motions, detection, config)
     }
 
     /// The same for a target that changed its velocity when it was last seen. Only its size tells it from others, and so has to fit.
     pub fn cost_of_manoeuvre(&self, detection: &Detection, time: &Advance, config: &TrackerParameters) -> Option<f64> {
-        let is_recent = self.life.misses == 0 || self.life.unseen_s <= MANOEUVRE_UNSEEN_S;
         let looks_alike =
             self.kind == detection.kind && self.shape.radius.distance2(detection.shape.radius) < config.gate;
-        let may_be = is_recent && looks_alike && config.manoeuvre_mps > 0.0;
+        let may_be = self.is_recent() && looks_alike && config.manoeuvre_mps > 0.0;
         may_be.then(|| self.cost_of(&self.pushed(time, config), detection, config))?
     }
 
-    /// Its motion if it changed its velocity when it was last seen.
-    fn pushed(&self, time: &Advance, config: &TrackerParameters) -> Motion {
-        let since_s = (time.at_ns - self.seen_at_ns).max(0) as f64 * 1e-9;
-        self.motion.kicked(since_s, config.manoeuvre_mps)
+    /// Whether it was seen so lately that a push or a throw has not taken it just anywhere.
+    fn is_recent(&self) -> bool {
+        self.life.misses == 0 || self.life.unseen_s <= MANOEUVRE_UNSEEN_S
     }
 
-    fn cost_of(&self, motion: &Motion, detection: &Detection, config: &TrackerParameters) -> Option<f64> {
+    /// Its motions if it changed its velocity when it was last seen.
+    fn pushed(&self, time: &Advance, config: &TrackerParameters) -> Motions {
+        let since_s = (time.at_ns - self.seen_at_ns).max(0) as f64 * 1e-9;
+        self.motions.clone().kicked(since_s, config)
+    }
+
+    fn cost_of(&self, motions: &Motions, detection: &Detection, config: &TrackerParameters) -> Option<f64> {
         let kind_cost = kind_cost(self.kind, detection.kind)?;
         let radius_cost = self.radius_cost(detection.shape.radius, config)?;
         let axis_cost = self.axis_cost(detection, config)?;
-        let innovation = motion.innovation(&detection.position, &detection.covariance)?;
-        let distance2 = innovation.distance2();
-        (distance2 < config.gate).then(|| distance2 + innovation.ln_determinant() + radius_cost + axis_cost + kind_cost)
+        Some(motions.cost(detection, self.is_recent(), config)? + radius_cost + axis_cost + kind_cost)
     }
 
     /// An outlier of the radius costs no more than one at the gate.
@@ -217,15 +186,12 @@ impl Target {
 
     /// Takes in a sight.
     pub fn see(&mut self, detection: &Detection, time: &Advance, config: &TrackerParameters) {
-        self.weigh_motions(detection);
         if self.cost(detection, config).is_none() {
-            self.motion = self.pushed(time, config);
+            self.motions = self.pushed(time, config);
         }
+        self.motions.see(detection, config);
         if time.at_ns >= self.seen_at_ns {
             (self.seen_by, self.seen_at_ns) = (time.source, time.at_ns);
-        }
-        if let Some(innovation) = self.motion.innovation(&detection.position, &detection.covariance) {
-            self.motion.update(&innovation, &detection.covariance);
         }
         self.shape.radius.update(detection.shape.radius);
         self.shape.length.update(detection.shape.length);
@@ -289,26 +255,26 @@ impl Target {
 
     /// The track as it is sent, in the camera frame.
     pub fn track(&self, camera_from_world: &IsometryMatrix3<f64>) -> Track {
-        let rotation = &camera_from_world.rotation;
+        let (rotation, motion) = (&camera_from_world.rotation, self.motions.mean());
         Track {
             id: self.id,
             state: self.life.state().code(),
             age: self.life.age,
             misses: self.life.misses,
-            object: self.object(camera_from_world),
-            velocity: (rotation * self.motion.velocity()).into(),
-            velocity_covariance: rotated(&self.motion.velocity_covariance(), rotation).transpose().into(),
+            object: self.object(&motion, camera_from_world),
+            velocity: (rotation * motion.velocity()).into(),
+            velocity_covariance: rotated(&motion.velocity_covariance(), rotation).transpose().into(),
             ..Track::default()
         }
     }
 
     /// The filtered object. What supports it is that of its last sight, and nothing while it is unseen.
-    fn object(&self, camera_from_world: &IsometryMatrix3<f64>) -> Object {
+    fn object(&self, motion: &Motion, camera_from_world: &IsometryMatrix3<f64>) -> Object {
         let unseen = Object { points: 0, rows: 0, arc: 0.0, ..self.last_seen };
         let seen = if self.life.misses == 0 { self.last_seen } else { unseen };
         let rotation = &camera_from_world.rotation;
-        let center = camera_from_world * Point3::from(self.motion.position());
-        let covariance = self.motion.position_covariance() + self.common.position;
+        let center = camera_from_world * Point3::from(motion.position());
+        let covariance = motion.position_covariance() + self.common.position;
         let sphere = Object {
             kind: self.kind.code(),
             points: seen.points,
@@ -388,18 +354,6 @@ mod tests {
         Advance { source, at_ns: at_ms * 1_000_000, elapsed_s, usual_s, new_run }
     }
 
-    #[test]
-    fn of_a_late_frame_a_fall_is_as_unsure_as_a_steady_motion() {
-        let config = TrackerParameters { ballistic: Some(Default::default()), ..TrackerParameters::default() };
-        let born = Target::born(1, &ball(&config), &time(0), &config);
-        let now = born.at(&time(200), false, &config);
-        for at_ms in [200, 150, 0] {
-            let then = now.at(&time(at_ms), false, &config);
-            let off = then.fall.other.unwrap().covariance - then.motion.covariance;
-            assert!(off.norm() < 1e-12, "{at_ms} ms");
-        }
-    }
-
     /// Frames of cameras that are late by different times.
     #[test]
     fn a_push_is_as_long_ago_as_the_frame_in_which_it_was_seen_last() {
@@ -411,8 +365,8 @@ mod tests {
         target.keep(&target.at(&before, false, &config), Some(&first), &before, &config);
         assert_eq!(target.seen_by, 0, "who saw it last can miss it");
         for (at_ms, since_s) in [(240, 0.14), (220, 0.12), (80, 0.0)] {
-            let expected = target.motion.kicked(since_s, config.manoeuvre_mps);
-            let off = target.pushed(&time(at_ms), &config).covariance - expected.covariance;
+            let expected = target.motions.clone().kicked(since_s, &config).mean();
+            let off = target.pushed(&time(at_ms), &config).mean().covariance - expected.covariance;
             assert!(off.norm() < 1e-12, "{since_s} s ago");
         }
     }

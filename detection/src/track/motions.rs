@@ -1,0 +1,294 @@
+//! How an object moves is not known beforehand: it stands or goes on evenly, is carried, is thrown about, falls. Each is a model with
+//! a filter of its own, and what is seen tells how probable it is: interacting multiple models (Blom, Bar-Shalom, IEEE Transactions
+//! on Automatic Control, 1988; Bar-Shalom, Li, Kirubarajan 2001, section 11.6.6).
+//!
+//! At the rate `r` an object that is seen begins to follow a model anew, any of the `n` that it may follow. So after `dt` seconds model
+//! `j` has the probability `c_j = s w_j + (1 - s) / n` with `s = exp(-r dt)`, and its filter goes on from a mixture of what it was, of
+//! weight `s w_j`, and of what all of them were together. A sight `z` makes of that `w_j ~ c_j N(z; H x_j, S_j)`.
+
+use super::ballistic::Ballistic;
+use super::detection::Detection;
+use super::filter::{Innovation, Motion};
+use super::parameters::TrackerParameters;
+use nalgebra::Matrix3;
+
+/// How often an object begins to move in another way, per second.
+const CHANGES_PER_S: f64 = 0.5; // [tuned]
+
+/// A way to move.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Manner {
+    /// With hardly any acceleration: it also stands.
+    GoesOn,
+    IsCarried,
+    IsThrown,
+    Falls,
+}
+
+impl Manner {
+    /// All but the fall, which only some objects may have.
+    const COMMON: [Self; 3] = [Self::GoesOn, Self::IsCarried, Self::IsThrown];
+
+    /// Spectral density of the random acceleration, in m^2/s^3: a tenth, once and ten times what the parameters call usual, so that
+    /// none is far from any.
+    fn density(self, config: &TrackerParameters) -> f64 {
+        let strength = match self {
+            Self::GoesOn => 0.1, // [algorithmic]
+            Self::IsCarried | Self::Falls => 1.0,
+            Self::IsThrown => 10.0, // [algorithmic]
+        };
+        (strength * config.acceleration).powi(2)
+    }
+}
+
+/// One model: what the object does if it moves in this manner.
+#[derive(Clone, Debug)]
+struct Model {
+    manner: Manner,
+    /// 0: it may not.
+    probability: f64,
+    motion: Motion,
+}
+
+/// How an object falls.
+#[derive(Clone, Copy, Debug)]
+pub struct Fall {
+    /// Where to, and where it bounces.
+    pub ballistic: Ballistic,
+    /// The radius of the ball, in metres.
+    pub radius: f64,
+    /// Whether the frame of tracking is the world's.
+    pub has_pose: bool,
+}
+
+/// The motion of one object by each model.
+#[derive(Clone, Debug)]
+pub struct Motions {
+    models: [Model; Manner::COMMON.len() + 1],
+    /// It was seen in time after the last step: only so is it known what it did.
+    was_seen: bool,
+}
+
+impl Motions {
+    /// The motion of an object that was seen once.
+    pub fn new(first: &Detection, config: &TrackerParameters) -> Self {
+        let motion = Motion::new(first.position, first.covariance, config.initial_speed_mps);
+        let [a, b, c] = Manner::COMMON.map(|manner| Model {
+            manner,
+            probability: 1.0 / Manner::COMMON.len() as f64,
+            motion: motion.clone(),
+        });
+        Self { models: [a, b, c, Model { manner: Manner::Falls, probability: 0.0, motion }], was_seen: true }
+    }
+
+    /// The mean over all models.
+    pub fn mean(&self) -> Motion {
+        Motion::mixture(self.models.iter().map(|model| (model.probability, &model.motion)))
+    }
+
+    /// Goes on by `dt` seconds; `fall`: how the object falls, if it may. What was not seen goes on as it did.
+    pub fn predict(&mut self, dt: f64, fall: Option<Fall>, config: &TrackerParameters) {
+        self.may_change(if self.was_seen { dt } else { 0.0 }, fall.is_some());
+        self.was_seen = false;
+        for model in &mut self.models {
+            model.motion.predict(dt, model.manner.density(config));
+            if let Some(Fall { ballistic, radius, has_pose }) = fall.filter(|_| model.manner == Manner::Falls) {
+                model.motion = ballistic.fallen(model.motion.clone(), dt, radius, has_pose);
+            }
+        }
+    }
+
+    /// Goes back by `dt` seconds, to before its last sight.
+    pub fn look_back(&mut self, dt: f64, config: &TrackerParameters) {
+        self.move_in_time(-dt);
+        self.models.iter_mut().for_each(|model| model.motion.blur(-dt, model.manner.density(config)));
+    }
+
+    /// It may have begun to follow another model within `dt` seconds; `falls`: also that of a fall.
+    fn may_change(&mut self, dt: f64, falls: bool) {
+        let mean = self.mean();
+        let stays = (-CHANGES_PER_S * dt).exp();
+        let possible = (Manner::COMMON.len() + usize::from(falls)) as f64;
+        // Never 0: what seemed impossible may yet be all that is left.
+        let begins = ((1.0 - stays) / possible).max(f64::MIN_POSITIVE);
+        for model in &mut self.models {
+            if model.manner == Manner::Falls && !falls {
+                model.probability = 0.0;
+                continue;
+            }
+            let kept = stays * model.probability;
+            model.motion = Motion::mixture([(kept, &model.motion), (begins, &mean)].into_iter());
+            model.probability = kept + begins;
+        }
+        self.share_out();
+    }
+
+    /// The same motions `dt` seconds later, or before where that is negative, with no more noise than they have.
+    pub fn move_in_time(&mut self, dt: f64) {
+        self.models.iter_mut().for_each(|model| model.motion.move_in_time(dt));
+    }
+
+    /// The object was pushed at the start of the last `dt` seconds.
+    #[must_use]
+    pub fn kicked(mut self, dt: f64, config: &TrackerParameters) -> Self {
+        self.models.iter_mut().for_each(|model| model.motion = model.motion.kicked(dt, config.manoeuvre_mps));
+        self
+    }
+
+    /// Minus twice the logarithm of the likelihood of a sight's place, up to a constant; `None` outside the gate of every model.
+    /// `is_recent`: the object was seen of late. If not, it is not looked for where a throw may have taken it: that is everywhere.
+    pub fn cost(&self, seen: &Detection, is_recent: bool, config: &TrackerParameters) -> Option<f64> {
+        let models = self.models.iter().filter(|model| is_recent || model.manner != Manner::IsThrown);
+        let near =
+            models.filter(|model| model.motion.may_be_within(config.gate, &seen.position, &model.noise(seen, config)));
+        let costs = near.filter_map(|model| {
+            let innovation = model.innovation(seen, config)?;
+            (innovation.distance2() < config.gate).then(|| model.cost(&innovation))
+        });
+        costs.reduce(|a, b| a.min(b) - 2.0 * (-0.5 * (a - b).abs()).exp().ln_1p())
+    }
+
+    /// Takes in a sight.
+    pub fn see(&mut self, seen: &Detection, config: &TrackerParameters) {
+        let mut costs = [f64::INFINITY; Manner::COMMON.len() + 1];
+        for (model, cost) in self.models.iter_mut().zip(&mut costs) {
+            if let Some(innovation) = model.innovation(seen, config) {
+                *cost = model.cost(&innovation);
+                model.motion.update(&innovation, &model.noise(seen, config));
+            }
+        }
+        let least = costs.iter().copied().fold(f64::INFINITY, f64::min);
+        // What the acceleration since a late sight and the state of now have in common is left out, by each model as much as it lets
+        // accelerate: so it does not tell between them.
+        if least.is_finite() && seen.late_s == 0.0 {
+            self.was_seen = true;
+            let models = self.models.iter_mut().zip(costs);
+            models.for_each(|(model, cost)| model.probability = (-0.5 * (cost - least)).exp());
+            self.share_out();
+        }
+    }
+
+    /// The probabilities add up to one.
+    fn share_out(&mut self) {
+        let sum: f64 = self.models.iter().map(|model| model.probability).sum();
+        self.models.iter_mut().for_each(|model| model.probability /= sum);
+    }
+}
+
+impl Model {
+    /// Covariance of the place of a sight against this model. A late one tells less of where the object is now: the noise `Q` of
+    /// acceleration in the time since adds `[I, -dt I] Q [I, -dt I]' = q dt^3 / 3`.
+    fn noise(&self, seen: &Detection, config: &TrackerParameters) -> Matrix3<f64> {
+        let spread = self.manner.density(config) * seen.late_s.powi(3) / 3.0;
+        seen.covariance + Matrix3::from_diagonal_element(spread)
+    }
+
+    fn innovation(&self, seen: &Detection, config: &TrackerParameters) -> Option<Innovation> {
+        self.motion.innovation(&seen.position, &self.noise(seen, config)).filter(|_| self.probability > 0.0)
+    }
+
+    fn cost(&self, innovation: &Innovation) -> f64 {
+        innovation.distance2() + innovation.ln_determinant() - 2.0 * self.probability.ln()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use conicflow_messages::{Object, ObjectKind};
+    use nalgebra::{IsometryMatrix3, Vector3};
+
+    const PERIOD_S: f64 = 1.0 / 30.0;
+
+    fn config() -> TrackerParameters {
+        TrackerParameters { floor_center_m: 0.002, ..TrackerParameters::default() }
+    }
+
+    fn ball(center: [f64; 3]) -> Detection {
+        let ball = Object { kind: ObjectKind::Sphere.code(), center, radius: 0.1, ..Object::default() };
+        Detection::new(&ball, &IsometryMatrix3::identity(), &config())
+    }
+
+    /// The most probable manner of a ball that was seen here in each frame, and the probabilities of all.
+    fn after(fall: Option<Fall>, frames: u32, place: impl Fn(f64) -> [f64; 3]) -> (Manner, Motions) {
+        let mut motions = Motions::new(&ball(place(0.0)), &config());
+        for frame in 1..frames {
+            motions.predict(PERIOD_S, fall, &config());
+            motions.see(&ball(place(f64::from(frame) * PERIOD_S)), &config());
+        }
+        let best = motions.models.iter().max_by(|a, b| a.probability.total_cmp(&b.probability)).unwrap();
+        (best.manner, motions)
+    }
+
+    #[test]
+    fn what_is_seen_tells_how_an_object_moves() {
+        let fall = Fall { ballistic: Ballistic::default(), radius: 0.1, has_pose: false };
+        let still = |_| [0.0, 0.0, 2.0];
+        let carried = |time: f64| [0.1 * (5.0 * time).sin(), 0.0, 2.0];
+        let shaken = |time: f64| [0.1 * (20.0 * time).sin(), 0.0, 2.0];
+        let falling = |time: f64| [0.0, 4.905 * time * time, 2.0];
+        for fall in [None, Some(fall)] {
+            assert_eq!(after(fall, 30, still).0, Manner::GoesOn);
+            assert_eq!(after(fall, 30, |time| [0.4 * time, 0.0, 2.0]).0, Manner::GoesOn);
+            assert_eq!(after(fall, 30, carried).0, Manner::IsCarried);
+            assert_eq!(after(fall, 30, shaken).0, Manner::IsThrown);
+        }
+        assert_eq!(after(Some(fall), 30, falling).0, Manner::Falls);
+        assert_eq!(after(None, 30, falling).0, Manner::IsThrown);
+    }
+
+    #[test]
+    fn probabilities_add_up_to_one_and_none_is_ever_without_hope() {
+        let (_, mut motions) = after(None, 60, |_| [0.0, 0.0, 2.0]);
+        for far in [0.0, 1.0, 1e6] {
+            motions.predict(PERIOD_S, None, &config());
+            motions.see(&ball([far, 0.0, 2.0]), &config());
+            let sum: f64 = motions.models.iter().map(|model| model.probability).sum();
+            assert!((sum - 1.0).abs() < 1e-12);
+        }
+        // A ball that surely falls turns out to be a tin, in a frame of the same time.
+        motions
+            .models
+            .iter_mut()
+            .for_each(|model| model.probability = f64::from(u8::from(model.manner == Manner::Falls)));
+        motions.predict(0.0, None, &config());
+        assert!(motions.models.iter().all(|model| model.probability.is_finite()));
+        assert!(motions.mean().state.iter().all(|number| number.is_finite()));
+    }
+
+    /// The density of a mixture, with models that differ and with models of which all say the same.
+    #[test]
+    fn the_cost_of_a_place_is_minus_twice_the_logarithm_of_its_likelihood() {
+        let (_, mut motions) = after(None, 9, |time| [0.4 * time, 0.0, 2.0]);
+        motions.predict(PERIOD_S, None, &config());
+        let cost = |seen: &Detection, is_recent| motions.cost(seen, is_recent, &config());
+        for off in [0.0, 0.003, -0.01] {
+            let seen = ball([0.12 + off, 0.0, 2.0]);
+            let of = |model: &Model| {
+                let spread = model.motion.position_covariance() + seen.covariance;
+                let residual: Vector3<f64> = seen.position - model.motion.position();
+                let distance2 = residual.dot(&(spread.try_inverse().unwrap() * residual));
+                model.probability * (-0.5 * distance2).exp() / spread.determinant().sqrt()
+            };
+            let likelihood = |count| motions.models[..count].iter().map(of).sum::<f64>();
+            assert!((cost(&seen, true).unwrap() + 2.0 * likelihood(3).ln()).abs() < 1e-9);
+            assert!((cost(&seen, false).unwrap() + 2.0 * likelihood(2).ln()).abs() < 1e-9, "no throw");
+        }
+        assert!(cost(&ball([0.19, 0.0, 2.0]), true).is_some(), "only a throw comes so far");
+        assert_eq!(cost(&ball([0.19, 0.0, 2.0]), false), None);
+        assert_eq!(cost(&ball([0.9, 0.0, 2.0]), true), None);
+    }
+
+    #[test]
+    fn what_is_unseen_goes_on_as_it_did() {
+        let (_, mut motions) = after(None, 30, |_| [0.0, 0.0, 2.0]);
+        let of = |motions: &Motions| motions.models.each_ref().map(|model| model.probability);
+        motions.predict(PERIOD_S, None, &config());
+        let before = of(&motions);
+        motions.predict(1.0, None, &config());
+        assert!(of(&motions).iter().zip(before).all(|(now, before)| (now - before).abs() < 1e-12));
+        // A late sight says where it was, and not how it moves.
+        motions.see(&ball([0.0, 0.0, 2.0]).told_later(0.5, &config()), &config());
+        assert!(of(&motions).iter().zip(before).all(|(now, before)| (now - before).abs() < 1e-12));
+    }
+}
