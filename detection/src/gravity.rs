@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 /// camera's optical frame, as of a camera that is held level.
 pub fn unit(up: Option<[f64; 3]>, has_pose: bool) -> Vector3<f64> {
     let level = if has_pose { Vector3::z() } else { -Vector3::y() };
-    up.and_then(|up| Vector3::from(up).try_normalize(1e-9)).unwrap_or(level)
+    up.and_then(|up| Vector3::from(up).try_normalize(1e-9)).unwrap_or(level) // [algorithmic]
 }
 
 /// What is wrong with a vector upwards, of the parameter `key`.

@@ -141,13 +141,14 @@ pub(crate) fn smaller_eigenvalue(xx: f64, xy: f64, yy: f64) -> f64 {
 
 /// The root of `c0 + c1 x + c2 x^2 + c3 x^3` that Newton's iteration finds from 0.
 fn root_near_zero(c: &[f64; 4]) -> f64 {
+    let most_steps = 12; // [algorithmic]
     let (mut x, mut step) = (0.0, c[0] / c[1]);
-    for _ in 0..12 {
+    for _ in 0..most_steps {
         if !step.is_finite() {
             break;
         }
         x -= step;
-        // Convergence is quadratic: what is left is the square of the step.
+        // Convergence is quadratic: what is left is the square of the step. [algorithmic]
         if step.abs() <= 1e-4 * x.abs() + 1e-13 {
             break;
         }

@@ -155,6 +155,7 @@ pub fn fit_ellipse(moments: &PlaneMoments) -> Option<Conic> {
 fn linear_part(m: &PlaneMoments) -> Option<Matrix3<f64>> {
     let (ss, st, tt) = (m.get(2, 0), m.get(1, 1), m.get(0, 2));
     let determinant = ss * tt - st * st;
+    // Points on a line, but for rounding. [algorithmic]
     if determinant < 1e-13 {
         return None;
     }
@@ -203,10 +204,12 @@ fn greatest_eigenvalue(m: &Matrix3<f64>) -> f64 {
     let determinant = m.determinant();
     // Laguerre's bound on the roots of a cubic with three real ones.
     let mut x = (trace + 2.0 * (trace * trace - 3.0 * minors).max(0.0).sqrt()) / 3.0;
-    for _ in 0..60 {
+    let most_steps = 60; // [algorithmic]
+    for _ in 0..most_steps {
         let value = ((x - trace) * x + minors) * x - determinant;
         let slope = (3.0 * x - 2.0 * trace) * x + minors;
         let next = x - value / slope;
+        // As near as rounding lets it come. [algorithmic]
         if !next.is_finite() || next >= x || (x - next) < 1e-15 * x.abs() {
             break;
         }

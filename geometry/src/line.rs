@@ -90,6 +90,7 @@ impl LineMoments {
         let eigen = SymmetricEigen::new(scatter);
         let longest = eigen.eigenvalues.imax();
         let along = eigen.eigenvalues[longest];
+        // What rounding leaves of equal points. [algorithmic]
         if along <= 1e-14 * mean.norm_squared().max(f64::MIN_POSITIVE) {
             return None;
         }

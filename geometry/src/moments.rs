@@ -202,7 +202,7 @@ impl PlaneMoments {
         let centred = self.about(mean);
         let spread = ((centred.sums[3] + centred.sums[5]) / centred.sums[0]).sqrt();
         // Below this the spread is what rounding left of the sums, not a spread.
-        let resolution = 1e-7 * (self.origin[0] - mean[0]).hypot(self.origin[1] - mean[1]);
+        let resolution = 1e-7 * (self.origin[0] - mean[0]).hypot(self.origin[1] - mean[1]); // [algorithmic]
         if !(spread.is_finite() && spread > resolution.max(f64::MIN_POSITIVE)) {
             return None;
         }

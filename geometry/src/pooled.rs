@@ -10,6 +10,12 @@ use nalgebra::{SMatrix, SVector};
 
 /// Most steps of a fit.
 const MAX_STEPS: usize = 8; // [algorithmic]
+/// The damping of the first step, and by how much it grows after a step that led nowhere, and shrinks after one that led on
+/// (Levenberg 1944, Marquardt 1963).
+const DAMPING: f64 = 1e-3; // [algorithmic]
+const DAMPING_STEP: f64 = 10.0; // [algorithmic]
+/// The least damping after a step that led nowhere.
+const LEAST_DAMPING: f64 = 1e-6; // [algorithmic]
 /// A step shorter than this (in spreads of the points, and radians) ends the fit.
 const SHORT: f64 = 1e-4; // [algorithmic]
 
@@ -66,10 +72,10 @@ fn fit<S: Surface<N>, const N: usize>(
         |most, surface: &S| System::below(most, moments, contour, &surface.coefficients(), || surface.derivatives());
     let mut system = below(f64::INFINITY, &surface)?;
     let [slight, most] = [SLIGHT, most].map(|sum| sum / (moments.scale * moments.scale));
-    let (mut damping, mut converged) = (1e-3, false);
+    let (mut damping, mut converged) = (DAMPING, false);
     for _ in 0..MAX_STEPS {
         let Some(step) = system.step(damping) else {
-            damping = (damping * 10.0).max(1e-3);
+            damping = (damping * DAMPING_STEP).max(DAMPING);
             continue;
         };
         let length = step.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -82,10 +88,10 @@ fn fit<S: Surface<N>, const N: usize>(
                 }
                 converged = length < SHORT || gain < slight;
                 (surface, system) = next;
-                damping *= 0.1;
+                damping *= 1.0 / DAMPING_STEP;
             }
             None if length < SHORT => converged = true,
-            None => damping = (damping * 10.0).max(1e-6),
+            None => damping = (damping * DAMPING_STEP).max(LEAST_DAMPING),
         }
         if converged {
             break;
@@ -209,7 +215,7 @@ impl<const N: usize> System<N> {
     /// The step that solves the damped equations; `None` where they are not positive definite.
     fn step(&self, damping: f64) -> Option<[f64; N]> {
         let mut damped = self.matrix;
-        let floor = 1e-12 * self.matrix.diagonal().amax();
+        let floor = 1e-12 * self.matrix.diagonal().amax(); // [algorithmic]
         (0..N).for_each(|i| damped[(i, i)] += damping * self.matrix[(i, i)].abs() + floor);
         let step = damped.cholesky()?.solve(&-self.gradient);
         Some(std::array::from_fn(|i| step[i]))
@@ -223,7 +229,8 @@ impl<const N: usize> System<N> {
             (0..N).for_each(|i| matrix[(i, i)] += share * self.matrix[(i, i)].abs());
             matrix.cholesky()
         };
-        let inverse = [0.0, 1e-4, 1e-3, 1e-2, 0.1].into_iter().find_map(damped)?.inverse();
+        let shares = [0.0, 1e-4, 1e-3, 1e-2, 0.1]; // [algorithmic]
+        let inverse = shares.into_iter().find_map(damped)?.inverse();
         let unit = |i: usize| if lengths[i] { 1.0 } else { 1.0 / scale };
         Some(SMatrix::from_fn(|i, j| inverse[(i, j)] * unit(i) * unit(j)))
     }

@@ -33,6 +33,7 @@ impl SectionShape {
     pub fn new(plane: &ScanPlane, axis: &Vector3, half_angle: f64) -> Option<Self> {
         let cosine2 = axis.dot(&plane.normal()).powi(2);
         let steepness = cosine2 - half_angle.sin().powi(2);
+        // The cut is more than 30 times as long as it is wide. [algorithmic]
         if steepness < 1e-3 {
             return None;
         }

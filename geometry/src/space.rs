@@ -161,6 +161,7 @@ impl SpaceMoments {
         local.shift::<2>(-origin.z);
         let trace = local.get(2, 0, 0) + local.get(0, 2, 0) + local.get(0, 0, 2);
         let scale = (trace / self.weight()).sqrt();
+        // A nanometre is no extent. [algorithmic]
         if !(scale.is_finite() && scale > 1e-9) {
             return None;
         }

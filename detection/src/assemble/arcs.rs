@@ -151,6 +151,7 @@ impl Arc {
         let k = self.plane.stretch();
         let (a, b) = (ss * x * x + st * x * k + tt * k * k, s * x + t * k);
         let discriminant = b * b - 4.0 * a * one;
+        // No hit, or one that is far away. [algorithmic]
         if discriminant <= 0.0 || a.abs() < 1e-12 {
             return None;
         }

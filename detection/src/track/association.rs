@@ -100,7 +100,7 @@ impl Association {
 
 /// What a pair saves; `as` keeps what is not finite within the bounds of the numbers.
 fn gain(cost: f64) -> i64 {
-    ((COST_ALONE - cost).clamp(-1e6, 1e6) * UNITS_PER_COST) as i64
+    ((COST_ALONE - cost).clamp(-1e6, 1e6) * UNITS_PER_COST) as i64 // [algorithmic]
 }
 
 fn free(partners: &[Option<usize>]) -> impl Iterator<Item = usize> + '_ {

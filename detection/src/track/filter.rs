@@ -251,7 +251,7 @@ impl Axis {
 fn turned(from: UnitVector3<f64>, to: UnitVector3<f64>, share: f64) -> UnitVector3<f64> {
     let normal = from.cross(&to);
     let angle = normal.norm().atan2(from.dot(&to));
-    let Some(axis) = UnitVector3::try_new(normal, 1e-12) else { return from };
+    let Some(axis) = UnitVector3::try_new(normal, 1e-12) else { return from }; // [algorithmic]
     UnitVector3::new_normalize(Rotation3::from_axis_angle(&axis, share * angle) * from.into_inner())
 }
 
