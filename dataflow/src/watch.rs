@@ -10,7 +10,7 @@ use crate::pause::{PauseWish, Sources};
 use crate::pipeline::suggestion;
 use crate::plan::Plan;
 use crate::ports::shared_memory::{SharedMemory, SharedMessage, SharedOnlooker};
-use crate::ports::{PortError, Received, Topic};
+use crate::ports::{Polled, PortError, Received, Topic};
 use crate::stage::Stop;
 use crate::status::{Life, Pausing};
 use conicflow_messages::Hinted;
@@ -49,16 +49,6 @@ pub enum WatchError {
     Signals(#[from] io::Error),
 }
 
-/// What a look at the topics brought.
-pub enum Seen<M> {
-    /// A message of the topic with this number, in the order in which they were named.
-    Message(usize, M),
-    /// None yet; the next look is worth while after a millisecond.
-    Nothing,
-    /// None, and none will come: the run is over.
-    Over,
-}
-
 /// Looks into topics of a running pipeline.
 pub struct Watcher {
     topics: Vec<(ItemType, String, SharedOnlooker)>,
@@ -90,11 +80,13 @@ impl Watcher {
         Ok(Self { topics, order, memory, stop, folder, run, checked, nonsense })
     }
 
-    /// The next message, checked; one that makes no sense is left out, with a warning.
+    /// The next message, checked, with the number of its topic, in the order in which they were named; one that makes no sense is
+    /// left out, with a warning. Where there is none yet, the next look is worth while after a millisecond; none will come where
+    /// the run is over.
     ///
     /// # Errors
     /// A topic cannot be read.
-    pub fn look(&mut self) -> Result<Seen<SharedMessage>, WatchError> {
+    pub fn poll(&mut self) -> Result<Polled<(usize, SharedMessage)>, WatchError> {
         let check = self.checked.elapsed() > RUN_CHECK;
         if check {
             self.checked = Instant::now();
@@ -112,12 +104,12 @@ impl Watcher {
             Ok::<_, PortError>(None)
         })?;
         if let Some((index, received)) = found {
-            return Ok(Seen::Message(index, received));
+            return Ok(Polled::Message((index, received)));
         }
         if over {
             self.stop.force();
         }
-        Ok(if over { Seen::Over } else { Seen::Nothing })
+        Ok(if over { Polled::Over } else { Polled::Pending })
     }
 }
 
@@ -277,16 +269,16 @@ impl RunningPipeline {
                 }
                 asked = Instant::now();
             }
-            match watcher.look()? {
-                Seen::Message(index, received) => {
+            match watcher.poll()? {
+                Polled::Message((index, received)) => {
                     let (item, topic) = topics[index];
                     let message = AnyMessage { header: received.header(), item, bytes: received.bytes() };
                     if see(topic, message)? == Watching::Enough {
                         return Ok(());
                     }
                 }
-                Seen::Nothing => sleep(LOOK),
-                Seen::Over => return Ok(()),
+                Polled::Pending => sleep(LOOK),
+                Polled::Over => return Ok(()),
             }
         }
         Ok(())

@@ -3,8 +3,9 @@
 use crate::message::{Lender, Message};
 use crate::owned::Owned;
 use crate::{argument, fault};
+use conicflow_dataflow::ports::Polled;
 use conicflow_dataflow::{
-    DEFAULT_LOG, ItemType, LOG, Requirements, RunningPipeline, Seen, Watcher, log_to_standard_error, monotonic_ns,
+    DEFAULT_LOG, ItemType, LOG, Requirements, RunningPipeline, Watcher, log_to_standard_error, monotonic_ns,
 };
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
@@ -71,24 +72,24 @@ impl Reader {
         }
         loop {
             py.check_signals()?;
-            let seen = py.detach(|| {
+            let polled = py.detach(|| {
                 let mut watcher = watcher.lock().unwrap_or_else(PoisonError::into_inner);
-                let Some(watcher) = &mut *watcher else { return Ok(Seen::Over) };
+                let Some(watcher) = &mut *watcher else { return Ok(Polled::Over) };
                 let deadline = Instant::now() + PATIENCE;
                 loop {
-                    match watcher.look().map_err(|error| fault::run(&error))? {
-                        Seen::Nothing if Instant::now() < deadline => sleep(LOOK),
-                        seen => return Ok::<_, PyErr>(seen),
+                    match watcher.poll().map_err(|error| fault::run(&error))? {
+                        Polled::Pending if Instant::now() < deadline => sleep(LOOK),
+                        polled => return Ok::<_, PyErr>(polled),
                     }
                 }
             })?;
-            match seen {
-                Seen::Nothing => {}
-                Seen::Over => {
+            match polled {
+                Polled::Pending => {}
+                Polled::Over => {
                     self.close();
                     return Ok(None);
                 }
-                Seen::Message(index, message) => {
+                Polled::Message((index, message)) => {
                     let (topic, item, lender) = &self.topics[index];
                     return Message::new(py, topic, item, Arc::new(message), monotonic_ns(), lender).map(Some);
                 }

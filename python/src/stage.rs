@@ -4,7 +4,8 @@ use crate::fault;
 use crate::joined::{self, Inputs, Joined, Place};
 use crate::message::{Lender, Message};
 use crate::payload::{HeaderChange, Payload};
-use conicflow_dataflow::{ItemType, Pulled, PulledStage, join_as_stage};
+use conicflow_dataflow::ports::Polled;
+use conicflow_dataflow::{ItemType, PulledStage, join_as_stage};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::time::Duration;
@@ -54,13 +55,13 @@ impl Stage {
         }
         loop {
             py.check_signals()?;
-            let pulled = py.detach(|| match &mut *self.pulled.lock()? {
+            let polled = py.detach(|| match &mut *self.pulled.lock()? {
                 Some(pulled) => pulled.pull(PATIENCE).map_err(|error| fault::run(&error)),
-                None => Ok(Pulled::Over),
+                None => Ok(Polled::Over),
             })?;
-            match (pulled, &self.item) {
-                (Pulled::Nothing, _) => {}
-                (Pulled::Message(message, received_ns), Some(item)) => {
+            match (polled, &self.item) {
+                (Polled::Pending, _) => {}
+                (Polled::Message((message, received_ns)), Some(item)) => {
                     let message = Message::new(py, &self.topic, item, message, received_ns, &self.lender)?;
                     let found = self.pulled.lock()?.as_ref().map(|pulled| joined::found(pulled.side_inputs()));
                     self.inputs.add_all(message.get().inputs(py), found.unwrap_or_default(), received_ns)?;
