@@ -9,7 +9,7 @@ mod ages;
 
 use ages::{Ages, Outcome, frame, percentiles, run_pipeline, start, written_in};
 use bytemuck::cast_slice;
-use conicflow_bridge::{NETWORK, Place, encode_message};
+use conicflow_bridge::{NETWORK, StreamPosition, encode_message};
 use conicflow_dataflow::pipeline::Compression;
 use conicflow_dataflow::{
     Context, ItemType, Next, NoConfig, Node, Output, Registry, SideInputs, Source, StageError, monotonic_ns, observe,
@@ -82,7 +82,7 @@ fn found(header: &Header, pixels: &[u16]) -> Vec<Ellipse> {
 }
 
 fn encoded<T: Item>(header: &Header, items: &[T], how: Compression) -> Outcome<Vec<u8>> {
-    Ok(encode_message(Place::default(), &ItemType::of::<T>(), header, cast_slice(items), how)?)
+    Ok(encode_message(StreamPosition::default(), &ItemType::of::<T>(), header, cast_slice(items), how)?)
 }
 
 /// Gives the same frame again and again, stamped when it is sent.

@@ -12,7 +12,7 @@ use crate::sending::Shared;
 use crate::session::Subscriber;
 use crate::wire::codec::{Codec, codec_of};
 use crate::wire::seal::session_of;
-use crate::wire::{Place, WireError, open_message, place_of};
+use crate::wire::{StreamPosition, WireError, open_message, position_of};
 use conicflow_dataflow::pipeline::BRIDGE;
 use conicflow_dataflow::ports::{Delivery, PortError, Transport};
 use conicflow_dataflow::relay::{OutputPort, Peers, SharedWriter};
@@ -202,24 +202,24 @@ impl<'a> Receiving<'a> {
 
     /// Checks a message, and passes it on if it is the next.
     pub(super) fn accept(&mut self, bytes: &[u8]) -> Result<(), PortError> {
-        let (place, header) = match self.decode(bytes) {
+        let (position, header) = match self.decode(bytes) {
             Ok(message) => message,
             Err(error) => {
                 self.refusals.leave_out(&error);
                 // Of another stream only what can be read tells.
-                let place = place_of(bytes).ok().filter(|place| self.sequence.is_of_stream(*place));
-                place.into_iter().for_each(|place| self.pass_over(place, bytes));
+                let position = position_of(bytes).ok().filter(|position| self.sequence.is_of_stream(*position));
+                position.into_iter().for_each(|position| self.pass_over(position, bytes));
                 return Ok(());
             }
         };
         let writer = header.writer().to_string();
         if !self.edge.writers.contains(&writer) {
             self.refusals.leave_out(&format!("no stage `{writer}` of machine `{}` writes it", self.edge.from));
-            self.pass_over(place, bytes);
+            self.pass_over(position, bytes);
             return Ok(());
         }
         let verdict = self.judge(Claim {
-            place,
+            position,
             session: session_of(bytes),
             number: Some(header.number),
             follows: self.follow.get(&writer).is_none_or(|follow| *follow == header.number),
@@ -240,7 +240,7 @@ impl<'a> Receiving<'a> {
             self.sequence.taken();
             self.follow.insert(writer.clone(), header.number.saturating_add(1));
         }
-        if header.ends_stream() && self.sequence.is_end_to_hear(place, verdict) {
+        if header.ends_stream() && self.sequence.is_end_to_hear(position, verdict) {
             self.links.note_end(&self.edge.from, &self.edge.topic.name, &writer, header.number);
             self.ended.insert(writer);
         }
@@ -249,12 +249,12 @@ impl<'a> Receiving<'a> {
     }
 
     /// Reads a message; its items stay with the codec.
-    fn decode(&mut self, bytes: &[u8]) -> Result<(Place, Header), WireError> {
-        let (place, header, body) = open_message(bytes, &self.layout, self.edge.item.name())?;
+    fn decode(&mut self, bytes: &[u8]) -> Result<(StreamPosition, Header), WireError> {
+        let (position, header, body) = open_message(bytes, &self.layout, self.edge.item.name())?;
         if let Some(body) = body {
             self.codec.decode(&header, body)?;
         }
-        Ok((place, header))
+        Ok((position, header))
     }
 
     fn pass_on(&mut self, mut header: Header, wire_bytes: usize) -> Result<(), PortError> {
@@ -285,9 +285,9 @@ impl<'a> Receiving<'a> {
     }
 
     /// What will never make sense would be sent again for ever, and nothing after it.
-    fn pass_over(&mut self, place: Place, bytes: &[u8]) {
-        let place = Place { oldest: place.oldest.min(place.number), ..place };
-        let claim = Claim { place, session: session_of(bytes), may_be_repeated: true, ..Claim::default() };
+    fn pass_over(&mut self, position: StreamPosition, bytes: &[u8]) {
+        let position = StreamPosition { oldest: position.oldest.min(position.number), ..position };
+        let claim = Claim { position, session: session_of(bytes), may_be_repeated: true, ..Claim::default() };
         if self.judge(claim) == Verdict::Take {
             self.sequence.taken();
         }
@@ -462,7 +462,7 @@ mod tests {
 
     fn sealed(seal: &Seal, zenoh_key: &str) -> Vec<u8> {
         let (item, header) = (ItemType::of::<Object>(), Header::default());
-        let mut bytes = encode_message(Place::default(), &item, &header, &[], Compression::None).unwrap();
+        let mut bytes = encode_message(StreamPosition::default(), &item, &header, &[], Compression::None).unwrap();
         seal.close(zenoh_key, &mut bytes);
         bytes
     }

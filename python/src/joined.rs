@@ -114,9 +114,9 @@ macro_rules! pulls {
 pulls!(PulledStage, PulledSource);
 
 /// A place in the run, until it is left; one that is not wanted any more has none.
-pub(crate) struct Place<T>(Owned<Mutex<Option<T>>>);
+pub(crate) struct PlaceInRun<T>(Owned<Mutex<Option<T>>>);
 
-impl<T: Pulls> Place<T> {
+impl<T: Pulls> PlaceInRun<T> {
     pub(crate) fn new(pulled: Option<T>) -> Self {
         Self(Owned::new(Mutex::new(pulled)))
     }

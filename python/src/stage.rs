@@ -1,7 +1,7 @@
 //! Stages in Python: the program asks for its messages in a loop of its own, and has the rights and duties of a stage in Rust.
 
 use crate::fault;
-use crate::joined::{self, Inputs, Joined, Place};
+use crate::joined::{self, Inputs, Joined, PlaceInRun};
 use crate::message::{Lender, Message};
 use crate::payload::{HeaderChange, Payload};
 use conicflow_dataflow::ports::Polled;
@@ -24,7 +24,7 @@ const PATIENCE: Duration = Duration::from_millis(100);
 /// `send` gives an empty list.
 #[pyclass(frozen, extends = Joined, module = "conicflow")]
 pub(crate) struct Stage {
-    pulled: Place<PulledStage>,
+    pulled: PlaceInRun<PulledStage>,
     topic: String,
     item: Option<ItemType>,
     lender: Lender,
@@ -44,7 +44,7 @@ pub(crate) fn stage(py: Python<'_>, same_frame: Vec<String>) -> PyResult<Bound<'
         .map(|pulled| pulled.input())
         .map_or((String::new(), None), |(topic, item)| (topic.to_owned(), Some(item.clone())));
     let (lender, inputs) = (Lender::default(), Inputs::default());
-    Bound::new(py, (Stage { pulled: Place::new(pulled), topic, item, lender, inputs }, joined))
+    Bound::new(py, (Stage { pulled: PlaceInRun::new(pulled), topic, item, lender, inputs }, joined))
 }
 
 #[pymethods]

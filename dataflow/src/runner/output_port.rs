@@ -6,7 +6,7 @@ use crate::item_type::ItemType;
 use crate::pipeline::BRIDGE;
 use crate::ports::patience::Patience;
 use crate::ports::{ConnectedReader, Delivery, PortError, Topic, TopicReader, Writer};
-use crate::stage::{Memory, Place, StageError, Stop};
+use crate::stage::{Memory, StageError, Stop, UntypedOutput};
 use crate::status::Status;
 use conicflow_messages::{END_OF_STREAM, Header, Hop, Text};
 use std::collections::{BTreeMap, BTreeSet};
@@ -69,9 +69,9 @@ impl<W: Writer> OutputPort<W> {
         self.number = number;
     }
 
-    /// A place to write a message with this header.
-    pub(crate) fn place(&mut self, header: Header) -> Place<'_> {
-        Place { header, memory: &mut self.port, counts: &mut self.counts }
+    /// Where a message with this header is written.
+    pub(crate) fn untyped_output(&mut self, header: Header) -> UntypedOutput<'_> {
+        UntypedOutput { header, memory: &mut self.port, counts: &mut self.counts }
     }
 
     /// Sends what was written: the bytes of a list after they were copied into shared memory; `None`: an image, where it is.

@@ -249,7 +249,7 @@ fn a_step_is_counted_once_and_logged_where_it_has_counted_anything() {
     let mut trial = Trial::new(&[("sink", Delivery::Latest)], 1);
     let (mut status, mut list) = (Box::new(Status::default()), Vec::<Object>::new());
     let mut step = |counts: &[(&'static str, u64)], frame: u64| {
-        let mut output = Output::new(trial.output_port.place(header()), &mut list);
+        let mut output = Output::new(trial.output_port.untyped_output(header()), &mut list);
         output.count_all(counts.iter().copied());
         trial.send().unwrap();
         let log = logged(Level::DEBUG, || trial.output_port.tally(&mut status, frame));

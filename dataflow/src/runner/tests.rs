@@ -118,7 +118,7 @@ fn bytes_that_are_no_whole_items_are_an_error_and_not_an_empty_message() {
     let (peers, header, objects) = (Peers::default(), header(0), [ball(0.2)]);
     let mut output = OutputPort::new(None::<(MemoryWriter, Topic)>, "large", 0, peers, Stop::default());
     let mut step = |bytes| {
-        let made = stage.step((&header, bytes), &SideInputs::default(), output.place(header));
+        let made = stage.step((&header, bytes), &SideInputs::default(), output.untyped_output(header));
         made.map(|made| made.list.map(<[u8]>::len)).map_err(|error| error.to_string())
     };
     let bytes = cast_slice(&objects);

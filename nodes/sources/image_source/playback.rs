@@ -46,23 +46,23 @@ impl Playback {
     /// # Errors
     /// There is none, or its camera is not known.
     pub fn open(config: &Config, base: &Path, resume_at: u64, counted: u64) -> Result<Self> {
-        Self::open_seen(config, base, (resume_at, counted), &mut |_, _| ())
+        Self::open_with_progress(config, base, (resume_at, counted), &mut |_, _| ())
     }
 
-    /// The same, which tells `seen` how many files it has looked at, and of how many.
+    /// The same, which tells `progress` how many files it has looked at, and of how many.
     ///
     /// # Errors
     /// Those of [`Playback::open`].
-    pub fn open_seen(
+    pub fn open_with_progress(
         config: &Config,
         base: &Path,
         (resume_at, counted): (u64, u64),
-        seen: &mut dyn FnMut(usize, usize),
+        progress: &mut dyn FnMut(usize, usize),
     ) -> Result<Self> {
         let path =
             config.path.as_ref().ok_or_else(|| Hinted::new("`path` is missing", "write `path = \"folder/\"`"))?;
-        let recording = Recording::open_seen(&base.join(path), config, seen)?;
-        let poses = Poses::find(&config.poses, base, &recording, seen)?;
+        let recording = Recording::open_with_progress(&base.join(path), config, progress)?;
+        let poses = Poses::find(&config.poses, base, &recording, progress)?;
         for error in recording.unreadable() {
             tracing::warn!("passed over: {error:#}");
         }

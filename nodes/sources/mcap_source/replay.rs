@@ -2,7 +2,7 @@
 
 use super::channels::{Chosen, camera_by, read_info};
 use super::config::Config;
-use crate::recording::files::{Files, Messages, Seen};
+use crate::recording::files::{Files, Messages, SurveyedChannel};
 use crate::recording::own;
 use crate::sources::image_source::USUAL_RATE_HZ;
 use anyhow::{Context as _, Error, Result, bail, ensure};
@@ -128,7 +128,7 @@ impl Replay {
 
     /// Takes in all that is told of frames of coordinates, in which `world` has to be one; what makes no sense is counted where that
     /// was not done before.
-    fn learn_transforms(&mut self, channels: &[Seen], world: &str, is_counted: bool) -> Result<()> {
+    fn learn_transforms(&mut self, channels: &[SurveyedChannel], world: &str, is_counted: bool) -> Result<()> {
         let of_transforms = channels.iter().filter(|channel| channel.schema() == TF_MESSAGE.name);
         let topics: Vec<_> = of_transforms.map(|channel| channel.channel.topic.as_str()).collect();
         let mut transforms = Transforms::default();
