@@ -24,13 +24,13 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 use zenoh::bytes::ZBytes;
 
-const TICK: Duration = Duration::from_millis(50);
+const IDLE_CHECK_PERIOD: Duration = Duration::from_millis(50);
 /// Messages that wait to be decoded, where none may be missed; what is refused comes again.
 const LOSSLESS_ROOM: usize = 64;
 /// Where the newest wins, what was under way for longer is a backlog that nobody wants.
 const STALE: Duration = Duration::from_secs(1);
 /// Where datagrams come less often than this, the stream is listened to as well.
-const SILENCE: Duration = Duration::from_secs(2);
+const DATAGRAM_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// The thread of one edge that comes.
 pub(super) struct Receiving<'a> {
@@ -76,7 +76,7 @@ impl<'a> Receiving<'a> {
             refusals: Arc::clone(&refusals),
         };
         let sender = Arc::clone(&channel);
-        let silence = (!lossless && edge.item.is_short()).then_some(SILENCE);
+        let silence = (!lossless && edge.item.is_short()).then_some(DATAGRAM_TIMEOUT);
         let subscriber = shared.sessions.subscriber(&zenoh_key, silence, move |bytes: ZBytes| {
             let bytes = bytes.to_bytes();
             if gate.admits(&bytes) {
@@ -126,7 +126,7 @@ impl<'a> Receiving<'a> {
     pub(super) fn carry(&mut self) -> Result<bool, BridgeError> {
         let (began, mut looked, mut unread) = (Instant::now(), Instant::now(), Unread::default());
         while !self.stop.requested() && self.ended.len() < self.edge.writers.len() {
-            if looked.elapsed() > TICK {
+            if looked.elapsed() > IDLE_CHECK_PERIOD {
                 looked = Instant::now();
                 if unread.is_for_good(self.nobody_reads(), looked) {
                     break;
@@ -136,7 +136,7 @@ impl<'a> Receiving<'a> {
                 }
             }
             self.choose_way()?;
-            let Some(bytes) = self.channel.receive(TICK) else {
+            let Some(bytes) = self.channel.receive(IDLE_CHECK_PERIOD) else {
                 self.output_port.catch_up();
                 self.acknowledge();
                 continue;
@@ -187,7 +187,7 @@ impl<'a> Receiving<'a> {
             if is_known || !self.lossless || self.stop.forced() || silence > END_PATIENCE {
                 return;
             }
-            std::thread::sleep(TICK);
+            std::thread::sleep(IDLE_CHECK_PERIOD);
         }
     }
 

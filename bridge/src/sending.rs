@@ -21,12 +21,12 @@ use std::time::{Duration, Instant};
 use zenoh::qos::Priority;
 
 /// An edge that nobody wakes looks around this often.
-const TICK: Duration = Duration::from_millis(20);
+const IDLE_CHECK_PERIOD: Duration = Duration::from_millis(20);
 /// Where the newest wins, messages wait on a full link for so long at most; images, waiting for less, give way to lists.
 const LISTS_WAIT: Duration = Duration::from_millis(100);
 const IMAGES_WAIT: Duration = Duration::from_millis(40);
 /// A full queue looks for acknowledgements this often.
-const FULL_TICK: Duration = Duration::from_millis(2);
+const FULL_CHECK_PERIOD: Duration = Duration::from_millis(2);
 
 /// What the threads of a bridge share.
 pub(super) struct Shared<'a> {
@@ -105,14 +105,14 @@ impl<'a> Sending<'a> {
         while !self.stop.forced() && !self.is_done() {
             self.settle();
             if self.ended.len() == self.edge.writers.len() || !self.may_send() {
-                std::thread::sleep(FULL_TICK);
+                std::thread::sleep(FULL_CHECK_PERIOD);
                 continue;
             }
             let forwarded = self.forward_next()? || self.forward_ends()?;
             // What is to be acknowledged by other machines is in the log by now, whence the next process of this bridge takes it.
             self.input_port.acknowledge();
             if !forwarded {
-                self.input_port.wait(TICK)?;
+                self.input_port.wait(IDLE_CHECK_PERIOD)?;
             }
         }
         if !self.stop.forced() {

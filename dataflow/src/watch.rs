@@ -21,9 +21,9 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 /// Shorter than a writer that runs flat out takes to fill the queue of an ordinary topic is not worth the processor time.
-const LOOK: Duration = Duration::from_millis(1);
+const POLL_PERIOD: Duration = Duration::from_millis(1);
 /// How often a watcher without messages looks whether the run still goes on.
-const RUN_CHECK: Duration = Duration::from_millis(100);
+const RUN_CHECK_PERIOD: Duration = Duration::from_millis(100);
 
 /// A pipeline that runs now.
 pub struct RunningPipeline {
@@ -87,7 +87,7 @@ impl Watcher {
     /// # Errors
     /// A topic cannot be read.
     pub fn poll(&mut self) -> Result<Polled<(usize, SharedMessage)>, WatchError> {
-        let check = self.checked.elapsed() > RUN_CHECK;
+        let check = self.checked.elapsed() > RUN_CHECK_PERIOD;
         if check {
             self.checked = Instant::now();
         }
@@ -263,7 +263,7 @@ impl RunningPipeline {
         };
         let mut asked = Instant::now();
         while !told.load(Ordering::Relaxed) {
-            if asked.elapsed() > RUN_CHECK {
+            if asked.elapsed() > RUN_CHECK_PERIOD {
                 if wants() == Watching::Enough {
                     return Ok(());
                 }
@@ -277,7 +277,7 @@ impl RunningPipeline {
                         return Ok(());
                     }
                 }
-                Polled::Pending => sleep(LOOK),
+                Polled::Pending => sleep(POLL_PERIOD),
                 Polled::Over => return Ok(()),
             }
         }

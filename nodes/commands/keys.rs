@@ -23,7 +23,7 @@ use std::time::Duration;
 /// The command by which this program reads keys; people do not call it.
 pub const NAME: &str = "keys";
 /// A run in the background looks this often whether it came to the foreground.
-const LOOK: Duration = Duration::from_millis(200);
+const FOREGROUND_CHECK_PERIOD: Duration = Duration::from_millis(200);
 /// Starts what reads the keys, which may set the modes of a terminal that a shell has taken back (without SIGTTOU), and which the
 /// launcher, not Ctrl-Z, ends.
 const START: &str = "trap '' TTOU TSTP; exec \"$@\"";
@@ -168,7 +168,7 @@ pub fn read(pipeline: &str, launcher: i32) -> Result<()> {
             wishes(&pressed).for_each(|wish| obey(pipeline, wish));
         } else {
             terminal.taken = None;
-            sleep(LOOK);
+            sleep(FOREGROUND_CHECK_PERIOD);
         }
     }
     Ok(())
@@ -178,7 +178,7 @@ pub fn read(pipeline: &str, launcher: i32) -> Result<()> {
 fn next_keys() -> Result<Option<Vec<u8>>> {
     let input = stdin();
     let mut ready = [PollFd::new(&input, PollFlags::IN)];
-    let patience = Timespec { tv_sec: 0, tv_nsec: LOOK.as_nanos() as i64 };
+    let patience = Timespec { tv_sec: 0, tv_nsec: FOREGROUND_CHECK_PERIOD.as_nanos() as i64 };
     match poll(&mut ready, Some(&patience)) {
         // Whoever reads in the background stops its whole job.
         Ok(0) | Err(Errno::INTR) => return Ok(Some(Vec::new())),

@@ -42,7 +42,7 @@ use std::time::{Duration, Instant};
 /// What was written is in the file after this time.
 const FLUSH: Duration = Duration::from_millis(900);
 /// How often is looked for something that is to be in the file.
-const LOOK: Duration = Duration::from_millis(100);
+const FLUSH_CHECK_PERIOD: Duration = Duration::from_millis(100);
 /// The frame of coordinates in which poses are.
 const WORLD: &str = "world";
 /// Of frames that no stage has put its name to.
@@ -247,7 +247,7 @@ fn keep_flushed(files: &Weak<Mutex<Files>>) {
     while let Some(files) = files.upgrade() {
         lock(&files).flush_if_due();
         drop(files);
-        thread::sleep(LOOK);
+        thread::sleep(FLUSH_CHECK_PERIOD);
     }
 }
 

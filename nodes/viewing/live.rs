@@ -14,7 +14,7 @@ use std::thread::{self, sleep};
 use std::time::{Duration, Instant};
 
 /// How often is looked for pipelines, and whether somebody looks.
-const LOOK: Duration = Duration::from_millis(200);
+const PIPELINE_CHECK_PERIOD: Duration = Duration::from_millis(200);
 /// How often the stages are looked at.
 const PERIOD: Duration = Duration::from_secs(1);
 
@@ -71,7 +71,7 @@ impl Live {
                 Some(chosen) if self.display.is_watched() || chosen.sources().paused => self.attach(&chosen, &wanted),
                 Some(_) => {}
             }
-            sleep(LOOK);
+            sleep(PIPELINE_CHECK_PERIOD);
         }
         Ok(())
     }

@@ -14,9 +14,9 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 /// Between two looks without a message.
-const LOOK: Duration = Duration::from_millis(1);
+const POLL_PERIOD: Duration = Duration::from_millis(1);
 /// So long it looks at most before Python may raise KeyboardInterrupt.
-const PATIENCE: Duration = Duration::from_millis(50);
+const INTERRUPT_CHECK_PERIOD: Duration = Duration::from_millis(50);
 
 /// Messages of topics of a running pipeline, from now on, until the run is over.
 #[pyclass(frozen, module = "conicflow")]
@@ -75,10 +75,10 @@ impl Reader {
             let polled = py.detach(|| {
                 let mut watcher = watcher.lock().unwrap_or_else(PoisonError::into_inner);
                 let Some(watcher) = &mut *watcher else { return Ok(Polled::Over) };
-                let deadline = Instant::now() + PATIENCE;
+                let deadline = Instant::now() + INTERRUPT_CHECK_PERIOD;
                 loop {
                     match watcher.poll().map_err(|error| fault::run(&error))? {
-                        Polled::Pending if Instant::now() < deadline => sleep(LOOK),
+                        Polled::Pending if Instant::now() < deadline => sleep(POLL_PERIOD),
                         polled => return Ok::<_, PyErr>(polled),
                     }
                 }

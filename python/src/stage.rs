@@ -11,7 +11,7 @@ use pyo3::types::PyDict;
 use std::time::Duration;
 
 /// So long it waits at most before it looks around.
-const PATIENCE: Duration = Duration::from_millis(100);
+const INTERRUPT_CHECK_PERIOD: Duration = Duration::from_millis(100);
 
 /// A stage of a pipeline; `conicflow.stage()` makes it.
 ///
@@ -56,7 +56,7 @@ impl Stage {
         loop {
             py.check_signals()?;
             let polled = py.detach(|| match &mut *self.pulled.lock()? {
-                Some(pulled) => pulled.pull(PATIENCE).map_err(|error| fault::run(&error)),
+                Some(pulled) => pulled.pull(INTERRUPT_CHECK_PERIOD).map_err(|error| fault::run(&error)),
                 None => Ok(Polled::Over),
             })?;
             match (polled, &self.item) {

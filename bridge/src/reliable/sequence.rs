@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 /// Streams are numbered by the sender's clock, which may be set back: a stream that seems to be an earlier one is followed
 /// when nothing has come of the current one for so long.
-const SILENCE: Duration = Duration::from_secs(3);
+const STREAM_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// A sender keeps so many messages, and sends nothing older again: what is farther behind shows that a message was taken before
 /// it whose number the sender has not reached.
@@ -245,7 +245,7 @@ impl Sequence {
 }
 
 fn is_silent(since: Option<Instant>, now: Instant) -> bool {
-    since.is_none_or(|since| now.saturating_duration_since(since) > SILENCE)
+    since.is_none_or(|since| now.saturating_duration_since(since) > STREAM_TIMEOUT)
 }
 
 #[cfg(test)]
@@ -473,7 +473,7 @@ mod tests {
             assert_eq!(told, [Verdict::Early, Verdict::Take], "{forged:?}");
             // The sender keeps more than it will be asked for, and is believed when it has said so twice.
             let mut taken = Vec::new();
-            for (number, later) in [(99, SILENCE), (99, SILENCE + LATER), (100, SILENCE + LATER)] {
+            for (number, later) in [(99, STREAM_TIMEOUT), (99, STREAM_TIMEOUT + LATER), (100, STREAM_TIMEOUT + LATER)] {
                 let back = claim(StreamPosition { stream: 7, number, oldest: 95 });
                 if take_claim(&mut sequence, back, start + LATER + LATER + later) == Verdict::Take {
                     taken.push(number);
@@ -517,8 +517,8 @@ mod tests {
             };
             assert_eq!([0, 1, 2].map(|number| take(number, 0, start)), [Verdict::Take; 3]);
             assert_eq!(take(forged, forged, start), Verdict::Take);
-            assert_eq!(take(3, 3, start + SILENCE), Verdict::Old, "it may have come by a slow way");
-            let later = start + SILENCE + Duration::from_millis(1);
+            assert_eq!(take(3, 3, start + STREAM_TIMEOUT), Verdict::Old, "it may have come by a slow way");
+            let later = start + STREAM_TIMEOUT + Duration::from_millis(1);
             assert_eq!([3, 4].map(|number| take(number, 3, later)), [Verdict::Take; 2]);
             assert_eq!([sequence.was_misled(), sequence.was_misled()], [true, false], "it is told once");
             assert_eq!(sequence.expected(), (1, 5));
@@ -532,7 +532,7 @@ mod tests {
             let (mut sequence, start) = (Sequence::new(lossless, true), Instant::now());
             let position = |number| StreamPosition { stream: 1, number, oldest: number };
             (0..300).for_each(|number| assert_eq!(take_at(&mut sequence, position(number), start), Verdict::Take));
-            for later in [Duration::ZERO, 2 * SILENCE] {
+            for later in [Duration::ZERO, 2 * STREAM_TIMEOUT] {
                 for number in [299, 200, 0] {
                     assert_eq!(take_at(&mut sequence, position(number), start + later), Verdict::Old, "{number}");
                 }
@@ -573,8 +573,8 @@ mod tests {
         let (mut sequence, start) = (Sequence::new(true, false), Instant::now());
         let position = |stream, number| StreamPosition { stream, number, oldest: number };
         assert_eq!(take_at(&mut sequence, position(5, 7), start), Verdict::Take);
-        assert_eq!(take_at(&mut sequence, position(4, 0), start + SILENCE), Verdict::Old);
-        let later = start + SILENCE + Duration::from_millis(1);
+        assert_eq!(take_at(&mut sequence, position(4, 0), start + STREAM_TIMEOUT), Verdict::Old);
+        let later = start + STREAM_TIMEOUT + Duration::from_millis(1);
         assert_eq!(take_at(&mut sequence, position(4, 0), later), Verdict::Take);
         assert_eq!((sequence.expected(), sequence.lost()), ((4, 1), 0));
     }

@@ -38,7 +38,7 @@ pub const NODES: &[Node] = &[
 /// A session that cannot be opened is tried again after this time.
 const OPEN_AGAIN: Duration = Duration::from_secs(1);
 /// How often is looked whether the router is still reached.
-const LOOK: Duration = Duration::from_millis(100);
+const ROUTER_CHECK_PERIOD: Duration = Duration::from_millis(100);
 /// How long an answer is waited for, of those who publish.
 const ANSWER: Duration = Duration::from_secs(1);
 /// Publishers of a topic whose numbers are compared; others are taken as they come.
@@ -202,7 +202,7 @@ impl Keeper {
                 continue;
             }
             drop(joined);
-            std::thread::sleep(LOOK);
+            std::thread::sleep(ROUTER_CHECK_PERIOD);
         }
     }
 

@@ -27,7 +27,7 @@ const PLAN_BEFORE: &str = "plan.json.kept";
 pub(crate) const LAST_STAGES_GRACE: Duration = Duration::from_secs(5);
 
 /// Whoever only looks whether a run has the folder holds its lock for a moment; so long if held up in that moment.
-const LOOK_GRACE: Duration = Duration::from_secs(5);
+const CHECK_GRACE: Duration = Duration::from_secs(5);
 
 /// Why a run has no folder.
 #[derive(Debug, thiserror::Error)]
@@ -224,7 +224,7 @@ impl RunFolder {
         let (path, file) = self.open_lock("lock")?;
         let run = RunLock { file: Locked(file), plan: self.path.join(PLAN) };
         // Those who only look share it.
-        if !lock_within(LOOK_GRACE, &run.file.0, is_shared, &mut pause).map_err(FolderError::at(&path))? {
+        if !lock_within(CHECK_GRACE, &run.file.0, is_shared, &mut pause).map_err(FolderError::at(&path))? {
             return Err(FolderError::Running { name: name.to_owned() });
         }
         let (path, stages) = self.open_lock("stages.lock")?;

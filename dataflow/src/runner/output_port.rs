@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 /// How long the first message waits for readers that want only the newest.
 const PATIENCE_WITH_LIVE_READERS: Duration = Duration::from_secs(5);
 /// How often a writer looks whether readers have come or gone.
-const LOOK: Duration = Duration::from_millis(10);
+const READER_CHECK_PERIOD: Duration = Duration::from_millis(10);
 /// How often the end is told again to those whose full queue may not have taken it, and whoever waits for a reader looks
 /// whether that was killed or started anew.
 const TELL_END: Duration = Duration::from_millis(100);
@@ -201,9 +201,9 @@ impl<W: Writer> OutputPort<W> {
                 // One that was killed, and does not come again, is there until somebody clears it away.
                 Some((writer, _)) if looked.elapsed() > TELL_END => {
                     looked = Instant::now();
-                    writer.wait(LOOK);
+                    writer.wait(READER_CHECK_PERIOD);
                 }
-                _ => std::thread::sleep(LOOK),
+                _ => std::thread::sleep(READER_CHECK_PERIOD),
             }
         }
         Ok(())
@@ -257,7 +257,7 @@ impl<W: Writer> OutputPort<W> {
                 tracing::warn!("waiting for `{}`, which must not miss a message", absent.stage);
                 said = true;
             }
-            std::thread::sleep(LOOK);
+            std::thread::sleep(READER_CHECK_PERIOD);
         }
     }
 

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 /// What is due later than this is never due, for whoever waits for it; 30 years, which any clock can tell.
 const LONGEST_PERIOD_S: f64 = 1e9;
 /// A source that waits looks this often whether something else is wished.
-const LOOK: Duration = Duration::from_millis(20);
+const PAUSE_CHECK_PERIOD: Duration = Duration::from_millis(20);
 /// A wait for a stamp that is longer is told: whoever looks on may take the run for one that stands still.
 const LONG: Duration = Duration::from_secs(5); // [algorithmic]
 
@@ -81,8 +81,8 @@ impl Pace {
             let left = due.saturating_duration_since(Instant::now());
             let pause = match turn {
                 Turn::Go if left.is_zero() => return,
-                Turn::Go => left.min(LOOK),
-                Turn::Stand => LOOK,
+                Turn::Go => left.min(PAUSE_CHECK_PERIOD),
+                Turn::Stand => PAUSE_CHECK_PERIOD,
                 Turn::Step => {
                     // What follows is due after this one, not after the time at which it would have been due.
                     self.due = Some(Instant::now());

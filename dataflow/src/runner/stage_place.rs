@@ -15,9 +15,9 @@ use std::fs::File;
 use std::time::{Duration, Instant};
 
 /// Where nothing has come for so long, what should have come may be lost with a stage and the one before it.
-const PATIENCE_WITH_WRITERS: Duration = Duration::from_secs(5);
+const SILENCE_BEFORE_LETTING_GO: Duration = Duration::from_secs(5);
 /// A stage that nobody wakes looks around this often.
-const TICK: Duration = Duration::from_millis(100);
+const IDLE_CHECK_PERIOD: Duration = Duration::from_millis(100);
 
 pub(crate) type MessageOf<T> = <<T as Transport>::Reader as Reader>::Message;
 
@@ -95,7 +95,7 @@ impl<T: Transport> StagePlace<T> {
     /// Waits for the next message; `None` when no more will come, or the run is to end.
     pub(crate) fn next_message(&mut self) -> Result<Option<MessageOf<T>>, PortError> {
         loop {
-            match self.poll(TICK)? {
+            match self.poll(IDLE_CHECK_PERIOD)? {
                 Polled::Message(message) => return Ok(Some(message)),
                 Polled::Over => return Ok(None),
                 Polled::Pending => {}
@@ -126,7 +126,7 @@ impl<T: Transport> StagePlace<T> {
         }
         self.input_port.acknowledge();
         self.output_port.catch_up();
-        if self.last_came.elapsed() > PATIENCE_WITH_WRITERS {
+        if self.last_came.elapsed() > SILENCE_BEFORE_LETTING_GO {
             self.last_came = Instant::now();
             self.side_inputs.iter_mut().try_for_each(|side| side.let_go())?;
         }
@@ -253,7 +253,7 @@ mod tests {
         send_items(&mut writer, from("side", 0), &[ball()]);
         assert!(matches!(place.poll(Duration::ZERO).unwrap(), Polled::Pending));
         assert_eq!(writer.unfinished("stage"), 1);
-        place.last_came = Instant::now().checked_sub(PATIENCE_WITH_WRITERS + TICK).unwrap();
+        place.last_came = Instant::now().checked_sub(SILENCE_BEFORE_LETTING_GO + IDLE_CHECK_PERIOD).unwrap();
         assert!(matches!(place.poll(Duration::ZERO).unwrap(), Polled::Pending));
         assert_eq!(writer.unfinished("stage"), 0);
     }

@@ -13,7 +13,7 @@ const UNREADABLE: &str = "frames unreadable";
 const OPENED: &str = "camera opened anew";
 
 /// So long is waited for an image before it is looked around.
-const LOOK: Duration = Duration::from_millis(50);
+const IMAGE_TIMEOUT: Duration = Duration::from_millis(50);
 /// How often is tried to open a device that is not there.
 const TRY_AGAIN: Duration = Duration::from_secs(1);
 
@@ -115,7 +115,7 @@ impl<D: Driver> Grabber<D> {
     fn open(&mut self, output: &mut dyn ImageOutput) -> Result<(), StageError> {
         let left = self.due.saturating_duration_since(Instant::now());
         if !left.is_zero() {
-            std::thread::sleep(left.min(LOOK));
+            std::thread::sleep(left.min(IMAGE_TIMEOUT));
             return Ok(());
         }
         self.due = Instant::now() + self.try_again;
@@ -212,7 +212,7 @@ impl<D: Driver> Grabber<D> {
         let Some(Opened { found, layout, stream }) = &mut self.opened else { return Ok(None) };
         let (layout, name) = (*layout, found.name.clone());
         let (mut result, median) = (Ok(Ok(())), &mut self.median);
-        let came = stream.next(LOOK, &mut |buffer, is_damaged| {
+        let came = stream.next(IMAGE_TIMEOUT, &mut |buffer, is_damaged| {
             result = output.image(layout.pixels()).map(|image| match layout.unpack(buffer, image) {
                 Ok(()) if is_damaged => Err("an image that its driver calls damaged".to_owned()),
                 Ok(()) => {
