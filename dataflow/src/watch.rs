@@ -6,7 +6,7 @@ use crate::hangup::ending_signals;
 use crate::item_type::{AnyMessage, ItemType};
 use crate::launcher::{FolderError, RunFolder, SwapError, user_folder};
 use crate::log::ThrottledWarning;
-use crate::pause::{PauseWish, Sources};
+use crate::pause::{PauseRequest, Sources};
 use crate::pipeline::suggestion;
 use crate::plan::Plan;
 use crate::ports::shared_memory::{SharedMemory, SharedMessage, SharedOnlooker};
@@ -255,14 +255,14 @@ impl RunningPipeline {
         mut wants: impl FnMut() -> Watching,
         mut see: impl FnMut(&'a Topic, AnyMessage<'_>) -> Result<Watching, E>,
     ) -> Result<(), E> {
-        let told = told_to_end().map_err(WatchError::from)?;
+        let terminated = termination_flag().map_err(WatchError::from)?;
         let mut watcher = match Watcher::new(self, topics) {
             // What there was to look into went with the run.
             Err(_) if !self.still_runs() => return Ok(()),
             made => made?,
         };
         let mut asked = Instant::now();
-        while !told.load(Ordering::Relaxed) {
+        while !terminated.load(Ordering::Relaxed) {
             if asked.elapsed() > RUN_CHECK_PERIOD {
                 if wants() == Watching::Enough {
                     return Ok(());
@@ -312,7 +312,7 @@ impl RunningPipeline {
     ///
     /// # Errors
     /// None of them can be paused, or the run's folder cannot be written.
-    pub fn pause(&self, wish: PauseWish) -> Result<Sources, WatchError> {
+    pub fn pause(&self, request: PauseRequest) -> Result<Sources, WatchError> {
         let sources = self.sources();
         if sources.can_pause.is_empty() {
             let live = sources.live.iter().map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ");
@@ -322,7 +322,7 @@ impl RunningPipeline {
         }
         let no_word = || io::Error::from(io::ErrorKind::NotFound);
         let word = self.folder.pause_file(self.plan.run).ok_or_else(no_word);
-        let changed = word.and_then(|word| word.change(wish));
+        let changed = word.and_then(|word| word.change(request));
         changed.map_err(FolderError::at(self.folder.path()))?;
         Ok(self.sources())
     }
@@ -337,7 +337,7 @@ impl RunningPipeline {
 ///
 /// # Errors
 /// The system does not let them be received.
-pub fn told_to_end() -> io::Result<Arc<AtomicBool>> {
+pub fn termination_flag() -> io::Result<Arc<AtomicBool>> {
     let told = Arc::new(AtomicBool::new(false));
     for signal in ending_signals() {
         signal_hook::flag::register(signal, Arc::clone(&told))?;

@@ -7,7 +7,7 @@
 //! somebody else has set since, such as a shell that waits for a line, is left alone, as is that of a run in the background.
 
 use anyhow::{Context, Result};
-use conicflow_dataflow::{PauseWish, RunningPipeline};
+use conicflow_dataflow::{PauseRequest, RunningPipeline};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 use rustix::process::{Pid, Signal, getpgrp, getppid, kill_process, set_parent_process_death_signal};
@@ -165,7 +165,7 @@ pub fn read(pipeline: &str, launcher: i32) -> Result<()> {
         if is_foreground() {
             terminal.take().context("the terminal gives no keys")?;
             let Some(pressed) = next_keys()? else { return Ok(()) };
-            wishes(&pressed).for_each(|wish| obey(pipeline, wish));
+            requests(&pressed).for_each(|request| obey(pipeline, request));
         } else {
             terminal.taken = None;
             sleep(FOREGROUND_CHECK_PERIOD);
@@ -196,26 +196,26 @@ fn next_keys() -> Result<Option<Vec<u8>>> {
 }
 
 /// What these keys stand for; others stand for nothing.
-fn wishes(mut keys: &[u8]) -> impl Iterator<Item = PauseWish> {
+fn requests(mut keys: &[u8]) -> impl Iterator<Item = PauseRequest> {
     std::iter::from_fn(move || {
         while let Some((first, rest)) = keys.split_first() {
             let arrow = RIGHT.iter().find(|arrow| keys.starts_with(arrow));
-            let wish = match first {
-                b' ' => Some(PauseWish::Toggle),
-                b'.' => Some(PauseWish::Step),
-                _ => arrow.map(|_| PauseWish::Step),
+            let request = match first {
+                b' ' => Some(PauseRequest::Toggle),
+                b'.' => Some(PauseRequest::Step),
+                _ => arrow.map(|_| PauseRequest::Step),
             };
             keys = arrow.map_or(rest, |arrow| &keys[arrow.len()..]);
-            if wish.is_some() {
-                return wish;
+            if request.is_some() {
+                return request;
             }
         }
         None
     })
 }
 
-fn obey(pipeline: &str, wish: PauseWish) {
-    let paused = RunningPipeline::find(Some(pipeline), "its name").and_then(|running| running.pause(wish));
+fn obey(pipeline: &str, request: PauseRequest) {
+    let paused = RunningPipeline::find(Some(pipeline), "its name").and_then(|running| running.pause(request));
     let told = match paused {
         Ok(sources) if sources.paused && !sources.live.is_empty() => {
             let live = sources.live.join("`, `");
@@ -233,13 +233,13 @@ fn obey(pipeline: &str, wish: PauseWish) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use PauseWish::{Step, Toggle};
+    use PauseRequest::{Step, Toggle};
 
     #[test]
-    fn keys_stand_for_wishes_and_others_for_nothing() {
-        let wished = |keys: &[u8]| wishes(keys).collect::<Vec<_>>();
-        assert_eq!(wished(b" "), [Toggle]);
-        assert_eq!(wished(b". \x1b[C\x1bOC"), [Step, Toggle, Step, Step]);
-        assert_eq!(wished(b"\x1b[D\x1b[A\x1b[1;5Cq\r\x03\xff"), [] as [PauseWish; 0]);
+    fn keys_stand_for_requests_and_others_for_nothing() {
+        let asked = |keys: &[u8]| requests(keys).collect::<Vec<_>>();
+        assert_eq!(asked(b" "), [Toggle]);
+        assert_eq!(asked(b". \x1b[C\x1bOC"), [Step, Toggle, Step, Step]);
+        assert_eq!(asked(b"\x1b[D\x1b[A\x1b[1;5Cq\r\x03\xff"), [] as [PauseRequest; 0]);
     }
 }

@@ -3,7 +3,7 @@
 use crate::message::{Lender, Message};
 use crate::owned::Owned;
 use crate::{argument, fault};
-use conicflow_dataflow::{Context, ItemType, KeptMessage, ProcessError, PulledSource, PulledStage, RunError, Stop};
+use conicflow_dataflow::{Context, ItemType, ProcessError, PulledSource, PulledStage, RetainedMessage, RunError, Stop};
 use pyo3::exceptions::PySystemExit;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -144,10 +144,10 @@ impl<T: Pulls> PlaceInRun<T> {
 }
 
 /// What was found in a further input: its name, the message, and what that carries.
-pub(crate) type Found = (String, KeptMessage, ItemType);
+pub(crate) type Found = (String, RetainedMessage, ItemType);
 
 /// What was found, to be shown when the stage is free again: Python may let another thread at it.
-pub(crate) fn found<'a>(inputs: impl Iterator<Item = (&'a str, KeptMessage, &'a ItemType)>) -> Vec<Found> {
+pub(crate) fn found<'a>(inputs: impl Iterator<Item = (&'a str, RetainedMessage, &'a ItemType)>) -> Vec<Found> {
     inputs.map(|(name, message, item)| (name.to_owned(), message, item.clone())).collect()
 }
 

@@ -4,7 +4,7 @@ use crate::fault;
 use crate::joined::{self, Inputs, Joined, PlaceInRun};
 use crate::payload::{HeaderChange, Payload};
 use crate::settings;
-use conicflow_dataflow::{PulledSource, join_as_source, monotonic_ns, tell_frame, unix_ns};
+use conicflow_dataflow::{PulledSource, join_as_source, monotonic_ns, report_frame, unix_ns};
 use conicflow_messages::{Header, NoiseModel, Text};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -48,7 +48,7 @@ impl Source {
 
     /// Says once what the images are like, so that a wrong scale is seen.
     fn tell(&self, name: &str, header: &Header, pixels: &[u16]) {
-        let is_told = tell_frame("images", name, &header.camera, header.depth_scale, pixels);
+        let is_told = report_frame("images", name, &header.camera, header.depth_scale, pixels);
         self.is_told.fetch_or(is_told, Ordering::Relaxed);
     }
 }

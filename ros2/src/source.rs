@@ -9,7 +9,8 @@ use crate::participant::topic_fault;
 use crate::picture::{Kind, Picture};
 use crate::{Distro, End, Middleware, Participant, Via, Way};
 use conicflow_dataflow::{
-    ConfigFault, Context, EmptyFrames, Next, Output, SideInputs, Source, StageError, Stop, TOO_FAR, tell_frame, unix_ns,
+    ConfigFault, Context, EmptyFrames, Next, Output, SideInputs, Source, StageError, Stop, TOO_FAR, report_frame,
+    unix_ns,
 };
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
@@ -347,7 +348,7 @@ impl<M: Middleware> Ros2Source<M> {
 
     /// Says once what the images are like, so that a wrong scale is seen.
     fn tell(&mut self, header: &Header, pixels: &[u16]) {
-        let tell = || tell_frame("images", &self.ends[IMAGES].topic, &header.camera, header.depth_scale, pixels);
+        let tell = || report_frame("images", &self.ends[IMAGES].topic, &header.camera, header.depth_scale, pixels);
         self.is_told = self.is_told || tell();
     }
 

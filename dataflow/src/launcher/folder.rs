@@ -420,7 +420,7 @@ pub(crate) fn check_private(path: &Path) -> Result<(), FolderError> {
 pub(super) mod tests {
     use super::super::trial_run::plan_of;
     use super::*;
-    use crate::pause::PauseWish;
+    use crate::pause::PauseRequest;
 
     /// The run's folder at this place.
     pub fn folder_at(path: &Path) -> RunFolder {
@@ -515,7 +515,7 @@ pub(super) mod tests {
         let files = tempfile::tempdir().unwrap();
         let folder = folder_at(files.path());
         folder.begin(&plan_of(7)).unwrap();
-        folder.pause_file(7).unwrap().change(PauseWish::Pause).unwrap();
+        folder.pause_file(7).unwrap().change(PauseRequest::Pause).unwrap();
         assert_eq!([7, 8].map(|run| folder.pause_file(run).unwrap().is_paused()), [true, false]);
     }
 

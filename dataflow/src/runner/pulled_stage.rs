@@ -1,7 +1,7 @@
 //! A stage whose program asks for its messages, in place of being called with them: what a binding to another language
 //! stands on. It has the rights and duties of a [`Stage`](crate::Stage), and sends exactly one message for each that it takes.
 
-use super::side_ports::{KeptMessage, kept};
+use super::side_ports::{RetainedMessage, retained};
 use super::stage_place::{StagePlace, item_of, open_input};
 use super::takeover::take_place;
 use super::untyped::of_same_frame;
@@ -86,7 +86,7 @@ impl PulledStage {
     ///
     /// # Errors
     /// Its ports failed.
-    pub fn pull(&mut self, patience: Duration) -> Result<Polled<(KeptMessage, u64)>, RunError> {
+    pub fn pull(&mut self, patience: Duration) -> Result<Polled<(RetainedMessage, u64)>, RunError> {
         self.has_begun = true;
         self.end_step()?;
         if self.is_over {
@@ -106,8 +106,8 @@ impl PulledStage {
     }
 
     /// The messages of the side inputs that go with the step, by their names; each may be missing.
-    pub fn side_inputs(&self) -> impl Iterator<Item = (&str, KeptMessage, &ItemType)> {
-        kept(&self.place.side_inputs)
+    pub fn side_inputs(&self) -> impl Iterator<Item = (&str, RetainedMessage, &ItemType)> {
+        retained(&self.place.side_inputs)
     }
 
     /// The frame of the step, if there is one.

@@ -4,7 +4,7 @@ use super::config::{Config, USUAL_RATE_HZ};
 use super::poses::Poses;
 use super::recording::{Frame, Recording};
 use anyhow::Result;
-use conicflow_dataflow::{EmptyFrames, TOO_FAR, tell_frame};
+use conicflow_dataflow::{EmptyFrames, TOO_FAR, report_frame};
 use conicflow_messages::{Camera, HAS_POSE, Header, Hinted, NoiseModel, RECORDED, Text};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -188,7 +188,7 @@ impl Playback {
             return;
         }
         let (what, camera) = (format!("{} frames", self.recording.len()), frame.camera);
-        self.described = tell_frame(&what, &frame.name, &camera, frame.depth_scale, pixels);
+        self.described = report_frame(&what, &frame.name, &camera, frame.depth_scale, pixels);
         if self.described && self.tells_camera && is_off_center(&camera) {
             tracing::warn!(
                 "the camera's principal point is at ({}, {}), far from the middle of images of {}x{}\n  hint: are \

@@ -6,7 +6,7 @@ use crate::recording::files::{Files, Messages, SurveyedChannel};
 use crate::recording::own;
 use crate::sources::image_source::USUAL_RATE_HZ;
 use anyhow::{Context as _, Error, Result, bail, ensure};
-use conicflow_dataflow::{EmptyFrames, ItemType, Stop, TOO_FAR, tell_frame};
+use conicflow_dataflow::{EmptyFrames, ItemType, Stop, TOO_FAR, report_frame};
 use conicflow_messages::{Camera, Header, Hinted, Hop, INVALID_FAR, INVALID_NEAR, Item, MAX_HOPS, RECORDED, Text};
 use conicflow_ros::{CameraInfo, CompressedImage, Depths, Image, Stamped, TF_MESSAGE, Transforms, Units};
 use mcap::Message;
@@ -379,7 +379,7 @@ impl Replay {
     fn tell(&mut self, replayed: &Replayed) {
         let Header { camera, depth_scale, .. } = &replayed.header;
         let pixels = || replayed.items_as::<u16>();
-        let tell = || tell_frame("frames", self.chosen.topics()[0], camera, *depth_scale, &pixels());
+        let tell = || report_frame("frames", self.chosen.topics()[0], camera, *depth_scale, &pixels());
         self.is_told = self.is_told || tell();
     }
 }
