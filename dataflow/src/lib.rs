@@ -9,6 +9,7 @@
 mod bridge_plan;
 mod clock;
 mod doctor;
+mod file_lock;
 mod file_use;
 mod first_frame;
 mod hangup;
@@ -17,8 +18,8 @@ mod item_type;
 mod launcher;
 mod link_key;
 mod link_report;
-mod lock;
 mod log;
+mod mutex;
 mod network;
 mod node;
 mod observe;
@@ -67,6 +68,7 @@ pub use launcher::{
 pub use link_key::LinkKey;
 pub use link_report::{EdgeReport, LinkReport, LinkState};
 pub use log::{CLEAR_LINE, DEFAULT_LOG, LOG, error_text, log_beside, log_filter, log_to_standard_error};
+pub use mutex::lock;
 pub use network::{BridgePlan, BridgeRun, Carrier, Edge, Network, NetworkError, Receiver};
 pub use node::{Host, Node, Variables, Variant};
 pub use observe::{

@@ -7,7 +7,7 @@
 //! somebody else has set since, such as a shell that waits for a line, is left alone, as is that of a run in the background.
 
 use anyhow::{Context, Result};
-use conicflow_dataflow::{PauseRequest, RunningPipeline};
+use conicflow_dataflow::{PauseRequest, RunningPipeline, lock};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 use rustix::process::{Pid, Signal, getpgrp, getppid, kill_process, set_parent_process_death_signal};
@@ -16,7 +16,7 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM};
 use signal_hook::iterator::Signals;
 use std::io::{IsTerminal, Write, stderr, stdin};
 use std::process::{Child, Command};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::Mutex;
 use std::thread::sleep;
 use std::time::Duration;
 
@@ -36,24 +36,24 @@ pub struct Keys;
 impl Keys {
     /// Reads the keys for a pipeline, where there is a terminal; a run that nobody can pause by them is a run all the same.
     pub fn read_for(pipeline: &str) -> Self {
-        *reader() = Reader::start(pipeline);
+        *lock(&READER) = Reader::start(pipeline);
         Self
     }
 }
 
 impl Drop for Keys {
     fn drop(&mut self) {
-        reader().take();
+        lock(&READER).take();
     }
 }
 
 /// Stops the run as `stop` does it, and reads no keys meanwhile.
 pub fn stop_without(stop: &dyn Fn()) {
-    let Some(ended) = reader().take() else { return stop() };
+    let Some(ended) = lock(&READER).take() else { return stop() };
     let pipeline = ended.pipeline.clone();
     drop(ended);
     stop();
-    *reader() = Reader::start(&pipeline);
+    *lock(&READER) = Reader::start(&pipeline);
 }
 
 /// What reads the keys of this process's run; dropped, it has ended, and the terminal is as it was.
@@ -65,10 +65,6 @@ struct Reader {
 }
 
 static READER: Mutex<Option<Reader>> = Mutex::new(None);
-
-fn reader() -> MutexGuard<'static, Option<Reader>> {
-    READER.lock().unwrap_or_else(PoisonError::into_inner)
-}
 
 impl Reader {
     fn start(pipeline: &str) -> Option<Self> {

@@ -8,7 +8,7 @@ use super::indexed::Indexed;
 use super::sequential::{Reader, Sequential};
 use super::summary::{MAX_RECORD_BYTES, summary, topics_with_messages};
 use anyhow::{Context as _, Error, Result, bail};
-use conicflow_dataflow::Stop;
+use conicflow_dataflow::{Stop, lock};
 use conicflow_messages::{Hinted, is_special};
 use mcap::{Channel, McapError, Message, Summary};
 use std::collections::{BTreeMap, BTreeSet};
@@ -16,7 +16,7 @@ use std::fmt::Display;
 use std::fs::{self, File};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// No compression makes more of a byte than lz4's 255.
 const MAX_EXPANSION: u64 = 256;
@@ -352,7 +352,7 @@ fn gone(what: &impl Display) -> Error {
 /// Whether nothing was said yet of what is left out of a file: it is read anew for each jump, and by several readers.
 fn is_first_of(path: &Path) -> bool {
     static TOLD: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
-    TOLD.lock().unwrap_or_else(PoisonError::into_inner).insert(path.to_owned())
+    lock(&TOLD).insert(path.to_owned())
 }
 
 /// What is said of a file that ends or is broken in the middle; it is an error where it is no MCAP, or the only one and nothing

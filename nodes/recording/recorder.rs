@@ -18,7 +18,7 @@ use super::files::with_length;
 use super::own::{self, ENCODING, IMAGE, MESSAGE, SCHEMA};
 use super::summary::MAX_RECORD_BYTES;
 use anyhow::{Context as _, Error, Result};
-use conicflow_dataflow::{AnyMessage, FileUse, ItemType};
+use conicflow_dataflow::{AnyMessage, FileUse, ItemType, lock};
 use conicflow_messages::{
     ABSENT, Fields, Header, Hinted, INVALID_FAR, INVALID_NEAR, Named, Object, Text, Track, Velocity, is_special,
 };
@@ -35,7 +35,7 @@ use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read as _, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex, Weak};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -236,10 +236,6 @@ impl Drop for Recorder {
             fs::remove_file(&first.path).ok();
         }
     }
-}
-
-fn lock(files: &Mutex<Files>) -> MutexGuard<'_, Files> {
-    files.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Sees to it, as long as there is a recorder, that what was written is in the file soon, also when nothing follows.

@@ -5,11 +5,11 @@ use super::{list_of, pausing};
 use crate::NODES;
 use anyhow::Result;
 use conicflow_dataflow::ports::Topic;
-use conicflow_dataflow::{ItemType, Requirements, RunningPipeline, Watching, monotonic_ns};
+use conicflow_dataflow::{ItemType, Requirements, RunningPipeline, Watching, lock, monotonic_ns};
 use conicflow_messages::{Item, Object, Track};
 use conicflow_view::{Command, Display, Gatherer};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::{self, sleep};
 use std::time::{Duration, Instant};
 
@@ -31,10 +31,6 @@ pub struct Live {
     wanted: Arc<Mutex<Wanted>>,
     /// The pipeline that is shown now.
     shown: Arc<Mutex<Option<String>>>,
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Live {

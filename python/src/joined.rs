@@ -3,13 +3,15 @@
 use crate::message::{Lender, Message};
 use crate::owned::Owned;
 use crate::{argument, fault};
-use conicflow_dataflow::{Context, ItemType, ProcessError, PulledSource, PulledStage, RetainedMessage, RunError, Stop};
+use conicflow_dataflow::{
+    Context, ItemType, ProcessError, PulledSource, PulledStage, RetainedMessage, RunError, Stop, lock,
+};
 use pyo3::exceptions::PySystemExit;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::collections::BTreeMap;
 use std::io::{Write, stderr};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard};
 
 /// Exit code of a stage that could not be made ready: to start it anew would not help.
 const REFUSED: i32 = 2;
@@ -123,7 +125,7 @@ impl<T: Pulls> PlaceInRun<T> {
 
     /// What fills it; an error in a process that was forked from the one that joined the run.
     pub(crate) fn lock(&self) -> PyResult<MutexGuard<'_, Option<T>>> {
-        Ok(self.0.expect("stage")?.lock().unwrap_or_else(PoisonError::into_inner))
+        Ok(lock(self.0.expect("stage")?))
     }
 
     /// Adds to a counter.
@@ -159,7 +161,7 @@ impl Inputs {
     /// Adds what was found to a dictionary, by the names of the inputs.
     pub(crate) fn add_all(&self, all: &Bound<'_, PyDict>, found: Vec<Found>, received_ns: u64) -> PyResult<()> {
         for (name, message, item) in found {
-            let lender = self.0.lock().unwrap_or_else(PoisonError::into_inner).entry(name.clone()).or_default().clone();
+            let lender = lock(&self.0).entry(name.clone()).or_default().clone();
             all.set_item(&name, Message::new(all.py(), &name, &item, message, received_ns, &lender)?)?;
         }
         Ok(())

@@ -5,11 +5,11 @@ use crate::owned::Owned;
 use crate::{argument, fault};
 use conicflow_dataflow::ports::Polled;
 use conicflow_dataflow::{
-    DEFAULT_LOG, ItemType, LOG, Requirements, RunningPipeline, Watcher, log_to_standard_error, monotonic_ns,
+    DEFAULT_LOG, ItemType, LOG, Requirements, RunningPipeline, Watcher, lock, log_to_standard_error, monotonic_ns,
 };
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
@@ -73,7 +73,7 @@ impl Reader {
         loop {
             py.check_signals()?;
             let polled = py.detach(|| {
-                let mut watcher = watcher.lock().unwrap_or_else(PoisonError::into_inner);
+                let mut watcher = lock(watcher);
                 let Some(watcher) = &mut *watcher else { return Ok(Polled::Over) };
                 let deadline = Instant::now() + INTERRUPT_CHECK_PERIOD;
                 loop {
@@ -100,7 +100,7 @@ impl Reader {
     /// Leaves its place among the onlookers; messages that were received stay. Does nothing in a process that was forked.
     fn close(&self) {
         if let Some(watcher) = self.watcher.here() {
-            watcher.lock().unwrap_or_else(PoisonError::into_inner).take();
+            lock(watcher).take();
         }
     }
 

@@ -15,10 +15,10 @@ use crate::told_once::ToldOnce;
 use crate::wire::seal::Seal;
 use crate::wire::{WireError, decode_note, encode_note, layouts};
 use conicflow_dataflow::ports::Delivery;
-use conicflow_dataflow::{BridgePlan, Edge, monotonic_ns};
+use conicflow_dataflow::{BridgePlan, Edge, lock, monotonic_ns};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 /// A peer of which nothing was heard for so long is not connected.
@@ -107,10 +107,6 @@ pub(crate) struct PeerState {
     /// For how long that is so.
     pub time: Duration,
     pub clock: Option<Exchange>,
-}
-
-fn lock<V>(mutex: &Mutex<V>) -> MutexGuard<'_, V> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Links {

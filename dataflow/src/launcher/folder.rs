@@ -1,6 +1,6 @@
 //! Where a run keeps its files: one folder per user, in it one per pipeline, and beside them the files of shared memory.
 
-use crate::lock::{Locked, is_shared, lock_within};
+use crate::file_lock::{Locked, is_shared, lock_within};
 use crate::pause::{PAUSE_FILE, PauseFile};
 use crate::plan::{LAYOUT, Plan};
 use crate::ports::shared_memory::acknowledgements::ENDING as ACKNOWLEDGEMENTS;
