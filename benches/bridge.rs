@@ -9,17 +9,17 @@ mod ages;
 
 use ages::{Ages, Outcome, frame, percentiles, run_pipeline, start, written_in};
 use bytemuck::cast_slice;
-use conicflow_bridge::{NETWORK, Place, encode_message};
+use conicflow_bridge::{NETWORK, StreamPosition, encode_message};
 use conicflow_dataflow::pipeline::Compression;
 use conicflow_dataflow::{
-    Context, ItemType, Next, NoConfig, Node, Output, Registry, SideInputs, Source, StageError, monotonic_ns, observe,
-    run_in_run,
+    Context, ItemType, Next, NoConfig, Node, Output, Registry, SideInputs, Source, StageError, lock, monotonic_ns,
+    observe, run_in_run,
 };
 use conicflow_detection::{Extractor, ExtractorParameters};
 use conicflow_messages::{Ellipse, Header, Item};
 use std::net::TcpListener;
 use std::path::Path;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::sleep;
 use std::time::Duration;
 use tempfile::TempDir;
@@ -82,7 +82,7 @@ fn found(header: &Header, pixels: &[u16]) -> Vec<Ellipse> {
 }
 
 fn encoded<T: Item>(header: &Header, items: &[T], how: Compression) -> Outcome<Vec<u8>> {
-    Ok(encode_message(Place::default(), &ItemType::of::<T>(), header, cast_slice(items), how)?)
+    Ok(encode_message(StreamPosition::default(), &ItemType::of::<T>(), header, cast_slice(items), how)?)
 }
 
 /// Gives the same frame again and again, stamped when it is sent.
@@ -209,7 +209,7 @@ fn bare(wire: &[u8]) -> Outcome<[f64; 2]> {
     let hear = move |sample: zenoh::sample::Sample| {
         let bytes = sample.payload().to_bytes();
         let sent = bytes.get(..8).and_then(|sent| sent.try_into().ok()).map_or(0, u64::from_ne_bytes);
-        heard.lock().unwrap_or_else(PoisonError::into_inner).push(monotonic_ns().saturating_sub(sent));
+        lock(&heard).push(monotonic_ns().saturating_sub(sent));
     };
     let zenoh = |error: zenoh::Error| error.to_string();
     let _ears = there.declare_subscriber("bench").callback(hear).wait().map_err(zenoh)?;
@@ -224,5 +224,5 @@ fn bare(wire: &[u8]) -> Outcome<[f64; 2]> {
         publisher.put([&sent.to_ne_bytes(), wire].concat()).wait().map_err(zenoh)?;
     }
     sleep(Duration::from_millis(200));
-    percentiles(std::mem::take(&mut *ages.lock().unwrap_or_else(PoisonError::into_inner)))
+    percentiles(std::mem::take(&mut *lock(&ages)))
 }

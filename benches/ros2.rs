@@ -7,13 +7,13 @@
 mod ages;
 
 use ages::{Ages, Outcome, frame, percentiles, run_pipeline, start, written_in};
-use conicflow_dataflow::{Node, Registry, monotonic_ns, run_in_run};
+use conicflow_dataflow::{Node, Registry, lock, monotonic_ns, run_in_run};
 use conicflow_messages::{Camera, Object};
 use conicflow_nodes::detection::{ObjectAssembler, RowEllipseExtractor};
 use conicflow_ros::{CameraInfo, Image, Stamped, write_units};
 use std::net::TcpListener;
 use std::path::Path;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::sleep;
 use std::time::Duration;
 use tempfile::TempDir;
@@ -113,12 +113,12 @@ fn bare(robot: &Robot, endpoint: &str) -> Outcome<[f64; 2]> {
     let hear = move |sample: zenoh::sample::Sample| {
         let bytes = sample.payload().to_bytes();
         let sent = Image::read(&bytes).map_or(0, |image| image.stamped.stamp_ns);
-        heard.lock().unwrap_or_else(PoisonError::into_inner).push(monotonic_ns().saturating_sub(sent));
+        lock(&heard).push(monotonic_ns().saturating_sub(sent));
     };
     let _ears = there.declare_subscriber(IMAGE_KEY).callback(hear).wait().map_err(|error| error.to_string())?;
     robot.send(|number| number < IMAGES)?;
     sleep(PERIOD);
-    percentiles(std::mem::take(&mut *ages.lock().unwrap_or_else(PoisonError::into_inner)))
+    percentiles(std::mem::take(&mut *lock(&ages)))
 }
 
 /// Ages of the images, or of what is found in them, at a stage of a pipeline.

@@ -1,5 +1,6 @@
 //! The bounded channel from Zenoh's threads to the thread of an edge; those never wait.
 
+use conicflow_dataflow::lock;
 use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, PoisonError};
 use std::time::Duration;
@@ -20,7 +21,7 @@ impl<M> Channel<M> {
 
     /// Adds a message; false if one was lost by that.
     pub(super) fn send(&self, message: M) -> bool {
-        let mut messages = self.messages.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut messages = lock(&self.messages);
         let full = messages.len() >= self.capacity;
         if full && self.newest_wins {
             messages.pop_front();
@@ -34,7 +35,7 @@ impl<M> Channel<M> {
 
     /// The oldest message, as soon as there is one, at most after `timeout`.
     pub(super) fn receive(&self, timeout: Duration) -> Option<M> {
-        let messages = self.messages.lock().unwrap_or_else(PoisonError::into_inner);
+        let messages = lock(&self.messages);
         let waited = self.arrived.wait_timeout_while(messages, timeout, |messages| messages.is_empty());
         waited.unwrap_or_else(PoisonError::into_inner).0.pop_front()
     }

@@ -9,7 +9,7 @@ use crate::sending::{Sending, Shared};
 use crate::session::Sessions;
 use crate::session::tests::joined;
 use crate::wire::seal::{Seal, secret};
-use crate::wire::{Place, encode_message};
+use crate::wire::{StreamPosition, encode_message};
 use conicflow_dataflow::pipeline::{BRIDGE, Compression};
 use conicflow_dataflow::ports::{Delivery, Reader, Received, Topic, TopicReader, Transport, Writer};
 use conicflow_dataflow::relay::{Peers, SharedMemory, end_of_stream};
@@ -189,8 +189,8 @@ fn accepted_with(key: Option<&LinkKey>, delivery: Delivery, messages: &[Vec<u8>]
 
 /// The message of this number as it goes onto the link.
 fn on_the_wire(header: &Header, number: u64, oldest: u64) -> Vec<u8> {
-    let (place, item) = (Place { stream: 5, number, oldest }, ItemType::of::<Object>());
-    encode_message(place, &item, header, bytemuck::cast_slice(&objects(number)), Compression::None).unwrap()
+    let (position, item) = (StreamPosition { stream: 5, number, oldest }, ItemType::of::<Object>());
+    encode_message(position, &item, header, bytemuck::cast_slice(&objects(number)), Compression::None).unwrap()
 }
 
 /// Carries so many messages over an edge: those that came, how many there were, and both sides afterwards.

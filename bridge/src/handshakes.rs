@@ -2,8 +2,9 @@
 //! heard there, and told once, in words that say which side has refused whom and why.
 
 use crate::told_once::ToldOnce;
+use conicflow_dataflow::lock;
 use std::fmt::{Debug, Write as _};
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 use tracing::field::{Field, Visit};
 use tracing::{Event, Level, Subscriber};
 use tracing_subscriber::Layer;
@@ -29,7 +30,7 @@ impl<S: Subscriber> Layer<S> for Ear {
         let mut message = Message(String::new());
         event.record(&mut message);
         let Some(reason) = refusal(&message.0) else { return };
-        let (heard, told) = &mut *HEARD.lock().unwrap_or_else(PoisonError::into_inner);
+        let (heard, told) = &mut *lock(&HEARD);
         if told.admits(&reason) {
             heard.push(reason);
         }
@@ -49,7 +50,7 @@ impl Visit for Message {
 
 /// Tells what was heard since this was done last.
 pub(crate) fn tell() {
-    let (heard, _) = &mut *HEARD.lock().unwrap_or_else(PoisonError::into_inner);
+    let (heard, _) = &mut *lock(&HEARD);
     heard.drain(..).for_each(|reason| tracing::error!("{reason}"));
 }
 

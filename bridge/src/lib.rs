@@ -36,7 +36,7 @@ mod wire;
 
 pub use handshakes::ear;
 pub use ros2::NODES;
-pub use wire::{MAX_MESSAGE, Place, WIRE_VERSION, WireError, decode_message, encode_message};
+pub use wire::{MAX_MESSAGE, StreamPosition, WIRE_VERSION, WireError, decode_message, encode_message};
 
 use conicflow_dataflow::{Carrier, Network, NetworkError};
 

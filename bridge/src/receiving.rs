@@ -12,7 +12,7 @@ use crate::sending::Shared;
 use crate::session::Subscriber;
 use crate::wire::codec::{Codec, codec_of};
 use crate::wire::seal::session_of;
-use crate::wire::{Place, WireError, open_message, place_of};
+use crate::wire::{StreamPosition, WireError, open_message, position_of};
 use conicflow_dataflow::pipeline::BRIDGE;
 use conicflow_dataflow::ports::{Delivery, PortError, Transport};
 use conicflow_dataflow::relay::{OutputPort, Peers, SharedWriter};
@@ -24,13 +24,13 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 use zenoh::bytes::ZBytes;
 
-const TICK: Duration = Duration::from_millis(50);
+const IDLE_CHECK_PERIOD: Duration = Duration::from_millis(50);
 /// Messages that wait to be decoded, where none may be missed; what is refused comes again.
 const LOSSLESS_ROOM: usize = 64;
 /// Where the newest wins, what was under way for longer is a backlog that nobody wants.
 const STALE: Duration = Duration::from_secs(1);
 /// Where datagrams come less often than this, the stream is listened to as well.
-const SILENCE: Duration = Duration::from_secs(2);
+const DATAGRAM_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// The thread of one edge that comes.
 pub(super) struct Receiving<'a> {
@@ -76,7 +76,7 @@ impl<'a> Receiving<'a> {
             refusals: Arc::clone(&refusals),
         };
         let sender = Arc::clone(&channel);
-        let silence = (!lossless && edge.item.is_short()).then_some(SILENCE);
+        let silence = (!lossless && edge.item.is_short()).then_some(DATAGRAM_TIMEOUT);
         let subscriber = shared.sessions.subscriber(&zenoh_key, silence, move |bytes: ZBytes| {
             let bytes = bytes.to_bytes();
             if gate.admits(&bytes) {
@@ -126,7 +126,7 @@ impl<'a> Receiving<'a> {
     pub(super) fn carry(&mut self) -> Result<bool, BridgeError> {
         let (began, mut looked, mut unread) = (Instant::now(), Instant::now(), Unread::default());
         while !self.stop.requested() && self.ended.len() < self.edge.writers.len() {
-            if looked.elapsed() > TICK {
+            if looked.elapsed() > IDLE_CHECK_PERIOD {
                 looked = Instant::now();
                 if unread.is_for_good(self.nobody_reads(), looked) {
                     break;
@@ -136,7 +136,7 @@ impl<'a> Receiving<'a> {
                 }
             }
             self.choose_way()?;
-            let Some(bytes) = self.channel.receive(TICK) else {
+            let Some(bytes) = self.channel.receive(IDLE_CHECK_PERIOD) else {
                 self.output_port.catch_up();
                 self.acknowledge();
                 continue;
@@ -187,7 +187,7 @@ impl<'a> Receiving<'a> {
             if is_known || !self.lossless || self.stop.forced() || silence > END_PATIENCE {
                 return;
             }
-            std::thread::sleep(TICK);
+            std::thread::sleep(IDLE_CHECK_PERIOD);
         }
     }
 
@@ -202,24 +202,24 @@ impl<'a> Receiving<'a> {
 
     /// Checks a message, and passes it on if it is the next.
     pub(super) fn accept(&mut self, bytes: &[u8]) -> Result<(), PortError> {
-        let (place, header) = match self.decode(bytes) {
+        let (position, header) = match self.decode(bytes) {
             Ok(message) => message,
             Err(error) => {
                 self.refusals.leave_out(&error);
                 // Of another stream only what can be read tells.
-                let place = place_of(bytes).ok().filter(|place| self.sequence.is_of_stream(*place));
-                place.into_iter().for_each(|place| self.pass_over(place, bytes));
+                let position = position_of(bytes).ok().filter(|position| self.sequence.is_of_stream(*position));
+                position.into_iter().for_each(|position| self.pass_over(position, bytes));
                 return Ok(());
             }
         };
         let writer = header.writer().to_string();
         if !self.edge.writers.contains(&writer) {
             self.refusals.leave_out(&format!("no stage `{writer}` of machine `{}` writes it", self.edge.from));
-            self.pass_over(place, bytes);
+            self.pass_over(position, bytes);
             return Ok(());
         }
         let verdict = self.judge(Claim {
-            place,
+            position,
             session: session_of(bytes),
             number: Some(header.number),
             follows: self.follow.get(&writer).is_none_or(|follow| *follow == header.number),
@@ -240,7 +240,7 @@ impl<'a> Receiving<'a> {
             self.sequence.taken();
             self.follow.insert(writer.clone(), header.number.saturating_add(1));
         }
-        if header.ends_stream() && self.sequence.is_end_to_hear(place, verdict) {
+        if header.ends_stream() && self.sequence.is_end_to_hear(position, verdict) {
             self.links.note_end(&self.edge.from, &self.edge.topic.name, &writer, header.number);
             self.ended.insert(writer);
         }
@@ -249,12 +249,12 @@ impl<'a> Receiving<'a> {
     }
 
     /// Reads a message; its items stay with the codec.
-    fn decode(&mut self, bytes: &[u8]) -> Result<(Place, Header), WireError> {
-        let (place, header, body) = open_message(bytes, &self.layout, self.edge.item.name())?;
+    fn decode(&mut self, bytes: &[u8]) -> Result<(StreamPosition, Header), WireError> {
+        let (position, header, body) = open_message(bytes, &self.layout, self.edge.item.name())?;
         if let Some(body) = body {
             self.codec.decode(&header, body)?;
         }
-        Ok((place, header))
+        Ok((position, header))
     }
 
     fn pass_on(&mut self, mut header: Header, wire_bytes: usize) -> Result<(), PortError> {
@@ -285,9 +285,9 @@ impl<'a> Receiving<'a> {
     }
 
     /// What will never make sense would be sent again for ever, and nothing after it.
-    fn pass_over(&mut self, place: Place, bytes: &[u8]) {
-        let place = Place { oldest: place.oldest.min(place.number), ..place };
-        let claim = Claim { place, session: session_of(bytes), may_be_repeated: true, ..Claim::default() };
+    fn pass_over(&mut self, position: StreamPosition, bytes: &[u8]) {
+        let position = StreamPosition { oldest: position.oldest.min(position.number), ..position };
+        let claim = Claim { position, session: session_of(bytes), may_be_repeated: true, ..Claim::default() };
         if self.judge(claim) == Verdict::Take {
             self.sequence.taken();
         }
@@ -462,7 +462,7 @@ mod tests {
 
     fn sealed(seal: &Seal, zenoh_key: &str) -> Vec<u8> {
         let (item, header) = (ItemType::of::<Object>(), Header::default());
-        let mut bytes = encode_message(Place::default(), &item, &header, &[], Compression::None).unwrap();
+        let mut bytes = encode_message(StreamPosition::default(), &item, &header, &[], Compression::None).unwrap();
         seal.close(zenoh_key, &mut bytes);
         bytes
     }

@@ -7,7 +7,7 @@ use crate::reliable::retransmit_queue::RetransmitQueue;
 use crate::reliable::send_log::SendLog;
 use crate::session::{Publisher, Sessions};
 use crate::wire::codec::{Codec, codec_of};
-use crate::wire::{Place, WireError, message_bytes};
+use crate::wire::{StreamPosition, WireError, message_bytes};
 use conicflow_dataflow::pipeline::BRIDGE;
 use conicflow_dataflow::ports::{Delivery, Received, Transport};
 use conicflow_dataflow::relay::{InputPort, Peers, SharedMemory, SharedReader, end_of_stream};
@@ -21,12 +21,12 @@ use std::time::{Duration, Instant};
 use zenoh::qos::Priority;
 
 /// An edge that nobody wakes looks around this often.
-const TICK: Duration = Duration::from_millis(20);
+const IDLE_CHECK_PERIOD: Duration = Duration::from_millis(20);
 /// Where the newest wins, messages wait on a full link for so long at most; images, waiting for less, give way to lists.
 const LISTS_WAIT: Duration = Duration::from_millis(100);
 const IMAGES_WAIT: Duration = Duration::from_millis(40);
 /// A full queue looks for acknowledgements this often.
-const FULL_TICK: Duration = Duration::from_millis(2);
+const FULL_CHECK_PERIOD: Duration = Duration::from_millis(2);
 
 /// What the threads of a bridge share.
 pub(super) struct Shared<'a> {
@@ -105,14 +105,14 @@ impl<'a> Sending<'a> {
         while !self.stop.forced() && !self.is_done() {
             self.settle();
             if self.ended.len() == self.edge.writers.len() || !self.may_send() {
-                std::thread::sleep(FULL_TICK);
+                std::thread::sleep(FULL_CHECK_PERIOD);
                 continue;
             }
             let forwarded = self.forward_next()? || self.forward_ends()?;
             // What is to be acknowledged by other machines is in the log by now, whence the next process of this bridge takes it.
             self.input_port.acknowledge();
             if !forwarded {
-                self.input_port.wait(TICK)?;
+                self.input_port.wait(IDLE_CHECK_PERIOD)?;
             }
         }
         if !self.stop.forced() {
@@ -180,7 +180,7 @@ impl<'a> Sending<'a> {
             EdgeCounts::add(&self.counts.unwanted, u64::from(!is_lossless));
             return Ok(true);
         }
-        let encoded = self.encoder.message(self.queue.place(), &header, message.bytes());
+        let encoded = self.encoder.message(self.queue.next_position(), &header, message.bytes());
         let memory_bytes = message.bytes().len() + size_of::<Header>();
         drop(message);
         self.last = header;
@@ -216,7 +216,7 @@ impl<'a> Sending<'a> {
             let over = self.input_port.has_ended(writer) || gone.contains(writer);
             if over && self.input_port.is_idle() && self.ended.insert(writer.clone()) {
                 let end = end_of_stream(&self.last, Text::new(writer), self.input_port.count_of(writer));
-                let bytes = self.encoder.end(self.queue.place(), &end)?;
+                let bytes = self.encoder.end(self.queue.next_position(), &end)?;
                 self.queue.sent_end(writer, &bytes, Instant::now());
                 self.put(bytes);
             }
@@ -251,9 +251,9 @@ impl<'a> Encoder<'a> {
     }
 
     /// A message with these items, as they lie in memory. One that makes no sense is left out.
-    fn message(&self, place: Place, header: &Header, items: &[u8]) -> Option<Vec<u8>> {
+    fn message(&self, position: StreamPosition, header: &Header, items: &[u8]) -> Option<Vec<u8>> {
         let body = |bytes: &mut Vec<u8>| self.codec.encode(header, items, self.edge.compression, bytes);
-        let encoded = message_bytes(place, &self.layout, header, body);
+        let encoded = message_bytes(position, &self.layout, header, body);
         let leave_out = |error: &WireError| {
             let topic = &self.edge.topic.name;
             self.left_out.add(format_args!("a message of topic `{topic}` cannot leave this machine: {error}"));
@@ -262,8 +262,8 @@ impl<'a> Encoder<'a> {
     }
 
     /// The end of a writer's stream.
-    fn end(&self, place: Place, header: &Header) -> Result<Vec<u8>, WireError> {
-        message_bytes(place, &self.layout, header, |_| Ok(()))
+    fn end(&self, position: StreamPosition, header: &Header) -> Result<Vec<u8>, WireError> {
+        message_bytes(position, &self.layout, header, |_| Ok(()))
     }
 }
 
@@ -295,14 +295,14 @@ mod tests {
                 let camera = Camera { width, height, fx: 500.0, fy: 500.0, cx: 0.5, cy: 0.5 };
                 Header { camera, depth_scale: 0.001, ..Header::default() }
             };
-            let (place, items) = (Place { stream: 1, number: 2, oldest: 1 }, [7, 0, 8, 0]);
+            let (position, items) = (StreamPosition { stream: 1, number: 2, oldest: 1 }, [7, 0, 8, 0]);
             for (left_out, (width, height)) in [(1 << 16, 1 << 16), (1, 1), (2, 2), (0, 0)].into_iter().enumerate() {
-                assert_eq!(encoder.message(place, &of_size(width, height), &items), None, "{compression:?}");
+                assert_eq!(encoder.message(position, &of_size(width, height), &items), None, "{compression:?}");
                 assert_eq!(counts.malformed.load(Ordering::Relaxed), left_out as u64 + 1);
             }
-            let bytes = encoder.message(place, &of_size(2, 1), &items).unwrap();
+            let bytes = encoder.message(position, &of_size(2, 1), &items).unwrap();
             let (there, _, came) = decode_message(&bytes, &edge.item).unwrap();
-            assert_eq!((there, came), (place, items.to_vec()));
+            assert_eq!((there, came), (position, items.to_vec()));
             assert_eq!(counts.malformed.load(Ordering::Relaxed), 4);
         }
     }

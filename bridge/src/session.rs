@@ -9,9 +9,9 @@
 
 use crate::error::BridgeError;
 use crate::settings;
-use conicflow_dataflow::Stop;
 use conicflow_dataflow::pipeline::Machine;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use conicflow_dataflow::{Stop, lock};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::{Duration, Instant};
 use zenoh::bytes::ZBytes;
 use zenoh::qos::{CongestionControl, Priority};
@@ -206,7 +206,7 @@ struct Datagrams {
 
 impl Datagrams {
     fn come(&self) -> bool {
-        let came = *self.came.lock().unwrap_or_else(PoisonError::into_inner);
+        let came = *lock(&self.came);
         came.is_some_and(|came| came.elapsed() < self.silence)
     }
 }
@@ -222,7 +222,7 @@ impl Subscriber<'_> {
         let (take, came) = (Arc::clone(&self.take), Arc::<Mutex<Option<Instant>>>::default());
         let clock = Arc::clone(&came);
         let note_and_take = move |bytes| {
-            *clock.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
+            *lock(&clock) = Some(Instant::now());
             take(bytes);
         };
         let subscriber = subscribe(session, key_for_datagrams(&self.key), Arc::new(note_and_take))?;

@@ -9,6 +9,7 @@
 mod bridge_plan;
 mod clock;
 mod doctor;
+mod file_lock;
 mod file_use;
 mod first_frame;
 mod hangup;
@@ -17,8 +18,8 @@ mod item_type;
 mod launcher;
 mod link_key;
 mod link_report;
-mod lock;
 mod log;
+mod mutex;
 mod network;
 mod node;
 mod observe;
@@ -57,7 +58,7 @@ pub use clock::{monotonic_ns, unix_ns};
 pub use conicflow_messages::{ConfigFault, Hinted};
 pub use doctor::{Finding, clean, examine};
 pub use file_use::FileUse;
-pub use first_frame::{EmptyFrames, TOO_FAR, tell_frame, tell_median};
+pub use first_frame::{EmptyFrames, TOO_FAR, report_frame, report_median};
 pub use item_type::{AnyMessage, BUILT_IN, ItemType};
 pub use launcher::{
     FolderError, LaunchError, PIPELINE, ProcessError, RUNTIME_DIR, RunFolder, RunLock, RunOptions, StageSummary,
@@ -67,22 +68,23 @@ pub use launcher::{
 pub use link_key::LinkKey;
 pub use link_report::{EdgeReport, LinkReport, LinkState};
 pub use log::{CLEAR_LINE, DEFAULT_LOG, LOG, error_text, log_beside, log_filter, log_to_standard_error};
+pub use mutex::lock;
 pub use network::{BridgePlan, BridgeRun, Carrier, Edge, Network, NetworkError, Receiver};
 pub use node::{Host, Node, Variables, Variant};
 pub use observe::{
     InputActivity, Observation, PipelineActivity, RunRecord, StageActivity, StageRecord, TopicActivity, Usage, observe,
     records,
 };
-pub use pause::{PauseWish, Sources};
+pub use pause::{PauseRequest, Sources};
 pub use plan::{Origin, Plan, PlannedStage, Runs};
 pub use preflight::{InsufficientResource, Requirements, TopicRequirements};
 pub use registry::Registry;
 pub use runner::RunError;
 pub use runner::pulled_source::PulledSource;
-pub use runner::pulled_stage::{Pulled, PulledStage};
-pub use runner::side_ports::KeptMessage;
+pub use runner::pulled_stage::PulledStage;
+pub use runner::side_ports::RetainedMessage;
 pub use side_inputs::{Pairing, SideInput, SideInputs};
 pub use stage::{Config, Context, Next, NoConfig, Output, Source, Stage, StageError, Stop};
 pub use status::{Counter, Durations, InputCounts, Intervals, Life, NO_RUN, Status, used};
 pub use table::Table;
-pub use watch::{RunningPipeline, Seen, WatchError, Watcher, Watching, told_to_end};
+pub use watch::{RunningPipeline, WatchError, Watcher, Watching, termination_flag};

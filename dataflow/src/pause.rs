@@ -14,9 +14,9 @@ use std::path::Path;
 /// The file in the folder of a run.
 pub(crate) const PAUSE_FILE: &str = "run.pause";
 
-/// What is wished of the sources of a run.
+/// What is asked of the sources of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PauseWish {
+pub enum PauseRequest {
     /// They stand still.
     Pause,
     /// They go on.
@@ -80,16 +80,16 @@ impl PauseFile {
         self.read().is_some_and(|word| word.is_paused != 0)
     }
 
-    /// Changes the word as is wished. Two who wish at the same time are heard one after the other.
-    pub(crate) fn change(&self, wish: PauseWish) -> io::Result<()> {
+    /// Changes the word as is asked. Two who ask at the same time are heard one after the other.
+    pub(crate) fn change(&self, request: PauseRequest) -> io::Result<()> {
         self.file.lock()?;
         let word = self.read().unwrap_or(Word { run: self.run, ..Word::default() });
-        let is_paused = match wish {
-            PauseWish::Pause | PauseWish::Step => true,
-            PauseWish::Resume => false,
-            PauseWish::Toggle => word.is_paused == 0,
+        let is_paused = match request {
+            PauseRequest::Pause | PauseRequest::Step => true,
+            PauseRequest::Resume => false,
+            PauseRequest::Toggle => word.is_paused == 0,
         };
-        let steps = word.steps + u64::from(wish == PauseWish::Step);
+        let steps = word.steps + u64::from(request == PauseRequest::Step);
         let word = Word { is_paused: u64::from(is_paused), steps, ..word };
         let written = self.file.write_all_at(bytemuck::bytes_of(&word), 0);
         self.file.unlock()?;
@@ -144,17 +144,17 @@ impl Pause {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use PauseWish::{Pause as Stop, Resume, Step, Toggle};
+    use PauseRequest::{Pause as Stop, Resume, Step, Toggle};
 
     #[test]
-    fn a_source_stands_still_steps_and_goes_on_as_is_wished() {
+    fn a_source_stands_still_steps_and_goes_on_as_is_asked() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join(PAUSE_FILE);
         PauseFile::create(&path, 7).unwrap();
         let word = PauseFile::open(&path, 7).unwrap();
         let mut pause = Pause::obey(PauseFile::open(&path, 7).ok());
-        let mut turns = |wishes: &[PauseWish]| {
-            wishes.iter().for_each(|wish| word.change(*wish).unwrap());
+        let mut turns = |requests: &[PauseRequest]| {
+            requests.iter().for_each(|request| word.change(*request).unwrap());
             [pause.turn(), pause.turn(), pause.turn()]
         };
         assert_eq!(turns(&[]), [Turn::Go; 3]);
@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn no_step_is_lost_of_many_who_wish_at_the_same_time() {
+    fn no_step_is_lost_of_many_who_ask_at_the_same_time() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join(PAUSE_FILE);
         PauseFile::create(&path, 7).unwrap();

@@ -306,7 +306,7 @@ pub struct Output<'a, T: Item> {
 }
 
 /// An [`Output`] whatever its items.
-pub(crate) struct Place<'a> {
+pub(crate) struct UntypedOutput<'a> {
     pub(crate) header: Header,
     pub(crate) memory: &'a mut dyn Memory,
     pub(crate) counts: &'a mut BTreeMap<&'static str, u64>,
@@ -319,7 +319,10 @@ pub(crate) trait Memory {
 }
 
 impl<'a, T: Item> Output<'a, T> {
-    pub(crate) fn new<'p: 'a>(Place { header, memory, counts }: Place<'p>, list: &'a mut Vec<T>) -> Self {
+    pub(crate) fn new<'p: 'a>(
+        UntypedOutput { header, memory, counts }: UntypedOutput<'p>,
+        list: &'a mut Vec<T>,
+    ) -> Self {
         list.clear();
         Self { header, memory, list, counts, image: false }
     }

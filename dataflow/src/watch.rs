@@ -6,11 +6,11 @@ use crate::hangup::ending_signals;
 use crate::item_type::{AnyMessage, ItemType};
 use crate::launcher::{FolderError, RunFolder, SwapError, user_folder};
 use crate::log::ThrottledWarning;
-use crate::pause::{PauseWish, Sources};
+use crate::pause::{PauseRequest, Sources};
 use crate::pipeline::suggestion;
 use crate::plan::Plan;
 use crate::ports::shared_memory::{SharedMemory, SharedMessage, SharedOnlooker};
-use crate::ports::{PortError, Received, Topic};
+use crate::ports::{Polled, PortError, Received, Topic};
 use crate::stage::Stop;
 use crate::status::{Life, Pausing};
 use conicflow_messages::Hinted;
@@ -21,9 +21,9 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 /// Shorter than a writer that runs flat out takes to fill the queue of an ordinary topic is not worth the processor time.
-const LOOK: Duration = Duration::from_millis(1);
+const POLL_PERIOD: Duration = Duration::from_millis(1);
 /// How often a watcher without messages looks whether the run still goes on.
-const RUN_CHECK: Duration = Duration::from_millis(100);
+const RUN_CHECK_PERIOD: Duration = Duration::from_millis(100);
 
 /// A pipeline that runs now.
 pub struct RunningPipeline {
@@ -47,16 +47,6 @@ pub enum WatchError {
     /// Signals.
     #[error("signals cannot be received: {0}")]
     Signals(#[from] io::Error),
-}
-
-/// What a look at the topics brought.
-pub enum Seen<M> {
-    /// A message of the topic with this number, in the order in which they were named.
-    Message(usize, M),
-    /// None yet; the next look is worth while after a millisecond.
-    Nothing,
-    /// None, and none will come: the run is over.
-    Over,
 }
 
 /// Looks into topics of a running pipeline.
@@ -90,12 +80,14 @@ impl Watcher {
         Ok(Self { topics, order, memory, stop, folder, run, checked, nonsense })
     }
 
-    /// The next message, checked; one that makes no sense is left out, with a warning.
+    /// The next message, checked, with the number of its topic, in the order in which they were named; one that makes no sense is
+    /// left out, with a warning. Where there is none yet, the next look is worth while after a millisecond; none will come where
+    /// the run is over.
     ///
     /// # Errors
     /// A topic cannot be read.
-    pub fn look(&mut self) -> Result<Seen<SharedMessage>, WatchError> {
-        let check = self.checked.elapsed() > RUN_CHECK;
+    pub fn poll(&mut self) -> Result<Polled<(usize, SharedMessage)>, WatchError> {
+        let check = self.checked.elapsed() > RUN_CHECK_PERIOD;
         if check {
             self.checked = Instant::now();
         }
@@ -112,12 +104,12 @@ impl Watcher {
             Ok::<_, PortError>(None)
         })?;
         if let Some((index, received)) = found {
-            return Ok(Seen::Message(index, received));
+            return Ok(Polled::Message((index, received)));
         }
         if over {
             self.stop.force();
         }
-        Ok(if over { Seen::Over } else { Seen::Nothing })
+        Ok(if over { Polled::Over } else { Polled::Pending })
     }
 }
 
@@ -263,30 +255,30 @@ impl RunningPipeline {
         mut wants: impl FnMut() -> Watching,
         mut see: impl FnMut(&'a Topic, AnyMessage<'_>) -> Result<Watching, E>,
     ) -> Result<(), E> {
-        let told = told_to_end().map_err(WatchError::from)?;
+        let terminated = termination_flag().map_err(WatchError::from)?;
         let mut watcher = match Watcher::new(self, topics) {
             // What there was to look into went with the run.
             Err(_) if !self.still_runs() => return Ok(()),
             made => made?,
         };
         let mut asked = Instant::now();
-        while !told.load(Ordering::Relaxed) {
-            if asked.elapsed() > RUN_CHECK {
+        while !terminated.load(Ordering::Relaxed) {
+            if asked.elapsed() > RUN_CHECK_PERIOD {
                 if wants() == Watching::Enough {
                     return Ok(());
                 }
                 asked = Instant::now();
             }
-            match watcher.look()? {
-                Seen::Message(index, received) => {
+            match watcher.poll()? {
+                Polled::Message((index, received)) => {
                     let (item, topic) = topics[index];
                     let message = AnyMessage { header: received.header(), item, bytes: received.bytes() };
                     if see(topic, message)? == Watching::Enough {
                         return Ok(());
                     }
                 }
-                Seen::Nothing => sleep(LOOK),
-                Seen::Over => return Ok(()),
+                Polled::Pending => sleep(POLL_PERIOD),
+                Polled::Over => return Ok(()),
             }
         }
         Ok(())
@@ -320,7 +312,7 @@ impl RunningPipeline {
     ///
     /// # Errors
     /// None of them can be paused, or the run's folder cannot be written.
-    pub fn pause(&self, wish: PauseWish) -> Result<Sources, WatchError> {
+    pub fn pause(&self, request: PauseRequest) -> Result<Sources, WatchError> {
         let sources = self.sources();
         if sources.can_pause.is_empty() {
             let live = sources.live.iter().map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ");
@@ -330,7 +322,7 @@ impl RunningPipeline {
         }
         let no_word = || io::Error::from(io::ErrorKind::NotFound);
         let word = self.folder.pause_file(self.plan.run).ok_or_else(no_word);
-        let changed = word.and_then(|word| word.change(wish));
+        let changed = word.and_then(|word| word.change(request));
         changed.map_err(FolderError::at(self.folder.path()))?;
         Ok(self.sources())
     }
@@ -345,7 +337,7 @@ impl RunningPipeline {
 ///
 /// # Errors
 /// The system does not let them be received.
-pub fn told_to_end() -> io::Result<Arc<AtomicBool>> {
+pub fn termination_flag() -> io::Result<Arc<AtomicBool>> {
     let told = Arc::new(AtomicBool::new(false));
     for signal in ending_signals() {
         signal_hook::flag::register(signal, Arc::clone(&told))?;

@@ -67,7 +67,7 @@ pub struct ContourBias {
 /// The contour of an object; the buffer is used again for the next.
 #[derive(Clone, Debug, Default)]
 pub struct Contour {
-    points: Vec<Seen>,
+    points: Vec<ModelledPoint>,
     noise: ContourNoise,
     /// Inverse of the covariance of the bias, for a point's weight of one over its variance.
     prior: Matrix4<f64>,
@@ -81,7 +81,7 @@ pub struct Contour {
 
 /// A point and what a surface makes of it.
 #[derive(Clone, Copy, Debug)]
-struct Seen {
+struct ModelledPoint {
     point: ContourPoint,
     /// Whether it is near the contour of the surface.
     used: bool,
@@ -212,7 +212,7 @@ impl Contour {
 
     /// Adds a point.
     pub fn add(&mut self, point: ContourPoint) {
-        let mut seen = Seen { point, used: true, along: 1.0, radius_px: 0.0, expected: 0.0, variance: 0.0 };
+        let mut seen = ModelledPoint { point, used: true, along: 1.0, radius_px: 0.0, expected: 0.0, variance: 0.0 };
         seen.place(1.0, 0.0, &self.noise);
         self.points.push(seen);
     }
@@ -261,7 +261,7 @@ impl Contour {
     /// How far the points that are used are expected to lie outside the outline, in pixels across it: their mean; 0 where they are
     /// expected inside it, and without points.
     pub fn outside_px(&self) -> f64 {
-        let outwards = |seen: &Seen| [-1.0, 1.0][seen.point.side] * seen.expected * seen.along;
+        let outwards = |seen: &ModelledPoint| [-1.0, 1.0][seen.point.side] * seen.expected * seen.along;
         let (count, sum) = self
             .points
             .iter()
@@ -385,7 +385,7 @@ impl<const N: usize> Default for Sums<N> {
 
 impl<const N: usize> Sums<N> {
     /// Adds a point; of `J'wJ` the lower triangle.
-    fn add(&mut self, error: f64, slope: &SVector<f64, N>, seen: &Seen, weight: f64) {
+    fn add(&mut self, error: f64, slope: &SVector<f64, N>, seen: &ModelledPoint, weight: f64) {
         self.square += error * error * weight;
         self.slope_error += slope * (error * weight);
         for j in 0..N {
@@ -414,7 +414,7 @@ impl<const N: usize> Sums<N> {
     }
 }
 
-impl Seen {
+impl ModelledPoint {
     /// Tells how the outline runs there, and by that what is expected of the point's error.
     fn place(&mut self, along: f64, radius_px: f64, noise: &ContourNoise) {
         (self.along, self.radius_px) = (along, radius_px);

@@ -341,7 +341,7 @@ fn the_radius_of_curvature_is_that_of_the_surface_however_long_the_ray_and_howev
 #[test]
 fn the_slope_of_an_error_is_that_by_the_coefficients_however_long_the_rays_are() {
     let q = cup().coefficients();
-    for Seen { point, .. } in contour(&cup(), 0.0).points {
+    for ModelledPoint { point, .. } in contour(&cup(), 0.0).points {
         let [ray, pixel, across] = [point.ray, point.pixel, point.across].map(|part| part * 1.7);
         let point = ContourPoint { ray, pixel, across, ..point };
         let (_, slope) = point.error_gradient(&q);

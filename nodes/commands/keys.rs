@@ -7,7 +7,7 @@
 //! somebody else has set since, such as a shell that waits for a line, is left alone, as is that of a run in the background.
 
 use anyhow::{Context, Result};
-use conicflow_dataflow::{PauseWish, RunningPipeline};
+use conicflow_dataflow::{PauseRequest, RunningPipeline, lock};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 use rustix::process::{Pid, Signal, getpgrp, getppid, kill_process, set_parent_process_death_signal};
@@ -16,14 +16,14 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM};
 use signal_hook::iterator::Signals;
 use std::io::{IsTerminal, Write, stderr, stdin};
 use std::process::{Child, Command};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::Mutex;
 use std::thread::sleep;
 use std::time::Duration;
 
 /// The command by which this program reads keys; people do not call it.
 pub const NAME: &str = "keys";
 /// A run in the background looks this often whether it came to the foreground.
-const LOOK: Duration = Duration::from_millis(200);
+const FOREGROUND_CHECK_PERIOD: Duration = Duration::from_millis(200);
 /// Starts what reads the keys, which may set the modes of a terminal that a shell has taken back (without SIGTTOU), and which the
 /// launcher, not Ctrl-Z, ends.
 const START: &str = "trap '' TTOU TSTP; exec \"$@\"";
@@ -36,24 +36,24 @@ pub struct Keys;
 impl Keys {
     /// Reads the keys for a pipeline, where there is a terminal; a run that nobody can pause by them is a run all the same.
     pub fn read_for(pipeline: &str) -> Self {
-        *reader() = Reader::start(pipeline);
+        *lock(&READER) = Reader::start(pipeline);
         Self
     }
 }
 
 impl Drop for Keys {
     fn drop(&mut self) {
-        reader().take();
+        lock(&READER).take();
     }
 }
 
 /// Stops the run as `stop` does it, and reads no keys meanwhile.
 pub fn stop_without(stop: &dyn Fn()) {
-    let Some(ended) = reader().take() else { return stop() };
+    let Some(ended) = lock(&READER).take() else { return stop() };
     let pipeline = ended.pipeline.clone();
     drop(ended);
     stop();
-    *reader() = Reader::start(&pipeline);
+    *lock(&READER) = Reader::start(&pipeline);
 }
 
 /// What reads the keys of this process's run; dropped, it has ended, and the terminal is as it was.
@@ -65,10 +65,6 @@ struct Reader {
 }
 
 static READER: Mutex<Option<Reader>> = Mutex::new(None);
-
-fn reader() -> MutexGuard<'static, Option<Reader>> {
-    READER.lock().unwrap_or_else(PoisonError::into_inner)
-}
 
 impl Reader {
     fn start(pipeline: &str) -> Option<Self> {
@@ -165,10 +161,10 @@ pub fn read(pipeline: &str, launcher: i32) -> Result<()> {
         if is_foreground() {
             terminal.take().context("the terminal gives no keys")?;
             let Some(pressed) = next_keys()? else { return Ok(()) };
-            wishes(&pressed).for_each(|wish| obey(pipeline, wish));
+            requests(&pressed).for_each(|request| obey(pipeline, request));
         } else {
             terminal.taken = None;
-            sleep(LOOK);
+            sleep(FOREGROUND_CHECK_PERIOD);
         }
     }
     Ok(())
@@ -178,7 +174,7 @@ pub fn read(pipeline: &str, launcher: i32) -> Result<()> {
 fn next_keys() -> Result<Option<Vec<u8>>> {
     let input = stdin();
     let mut ready = [PollFd::new(&input, PollFlags::IN)];
-    let patience = Timespec { tv_sec: 0, tv_nsec: LOOK.as_nanos() as i64 };
+    let patience = Timespec { tv_sec: 0, tv_nsec: FOREGROUND_CHECK_PERIOD.as_nanos() as i64 };
     match poll(&mut ready, Some(&patience)) {
         // Whoever reads in the background stops its whole job.
         Ok(0) | Err(Errno::INTR) => return Ok(Some(Vec::new())),
@@ -196,26 +192,26 @@ fn next_keys() -> Result<Option<Vec<u8>>> {
 }
 
 /// What these keys stand for; others stand for nothing.
-fn wishes(mut keys: &[u8]) -> impl Iterator<Item = PauseWish> {
+fn requests(mut keys: &[u8]) -> impl Iterator<Item = PauseRequest> {
     std::iter::from_fn(move || {
         while let Some((first, rest)) = keys.split_first() {
             let arrow = RIGHT.iter().find(|arrow| keys.starts_with(arrow));
-            let wish = match first {
-                b' ' => Some(PauseWish::Toggle),
-                b'.' => Some(PauseWish::Step),
-                _ => arrow.map(|_| PauseWish::Step),
+            let request = match first {
+                b' ' => Some(PauseRequest::Toggle),
+                b'.' => Some(PauseRequest::Step),
+                _ => arrow.map(|_| PauseRequest::Step),
             };
             keys = arrow.map_or(rest, |arrow| &keys[arrow.len()..]);
-            if wish.is_some() {
-                return wish;
+            if request.is_some() {
+                return request;
             }
         }
         None
     })
 }
 
-fn obey(pipeline: &str, wish: PauseWish) {
-    let paused = RunningPipeline::find(Some(pipeline), "its name").and_then(|running| running.pause(wish));
+fn obey(pipeline: &str, request: PauseRequest) {
+    let paused = RunningPipeline::find(Some(pipeline), "its name").and_then(|running| running.pause(request));
     let told = match paused {
         Ok(sources) if sources.paused && !sources.live.is_empty() => {
             let live = sources.live.join("`, `");
@@ -233,13 +229,13 @@ fn obey(pipeline: &str, wish: PauseWish) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use PauseWish::{Step, Toggle};
+    use PauseRequest::{Step, Toggle};
 
     #[test]
-    fn keys_stand_for_wishes_and_others_for_nothing() {
-        let wished = |keys: &[u8]| wishes(keys).collect::<Vec<_>>();
-        assert_eq!(wished(b" "), [Toggle]);
-        assert_eq!(wished(b". \x1b[C\x1bOC"), [Step, Toggle, Step, Step]);
-        assert_eq!(wished(b"\x1b[D\x1b[A\x1b[1;5Cq\r\x03\xff"), [] as [PauseWish; 0]);
+    fn keys_stand_for_requests_and_others_for_nothing() {
+        let asked = |keys: &[u8]| requests(keys).collect::<Vec<_>>();
+        assert_eq!(asked(b" "), [Toggle]);
+        assert_eq!(asked(b". \x1b[C\x1bOC"), [Step, Toggle, Step, Step]);
+        assert_eq!(asked(b"\x1b[D\x1b[A\x1b[1;5Cq\r\x03\xff"), [] as [PauseRequest; 0]);
     }
 }

@@ -7,7 +7,7 @@
 use anyhow::Context;
 use conicflow_dataflow::pipeline::Pipeline;
 use conicflow_dataflow::{
-    Durations, EdgeReport, InputCounts, LinkReport, LinkState, RunRecord, StageRecord, records, used,
+    Durations, EdgeReport, InputCounts, LinkReport, LinkState, RunRecord, StageRecord, lock, records, used,
 };
 use conicflow_view::{Answer, Listen, Request, Response, Server};
 use prometheus_client::collector::Collector;
@@ -18,7 +18,7 @@ use prometheus_client::metrics::gauge::ConstGauge;
 use prometheus_client::metrics::{MetricType, TypedMetric};
 use prometheus_client::registry::{Registry, Unit};
 use std::fmt;
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 const PATH: &str = "/metrics";
@@ -75,7 +75,7 @@ impl Answer for Metrics {
 
 impl Metrics {
     fn told(&self) -> Response {
-        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut last = lock(&self.last);
         if let Some((_, text)) = last.as_ref().filter(|(since, _)| since.elapsed() < FRESH) {
             return Response::new(200, KIND, text.clone().into_bytes());
         }

@@ -22,7 +22,9 @@ use anyhow::bail;
 use clap::{Args, CommandFactory, Parser, Subcommand};
 use conicflow_dataflow::pipeline::{Pipeline, Report, file_schema};
 use conicflow_dataflow::{DEFAULT_LOG, LOG, LaunchError, LinkKey, NO_RUN, Plan, ProcessError, RunOptions, Summary};
-use conicflow_dataflow::{FolderError, RunningPipeline, error_text, log_filter, log_to_standard_error, told_to_end};
+use conicflow_dataflow::{
+    FolderError, RunningPipeline, error_text, log_filter, log_to_standard_error, termination_flag,
+};
 use conicflow_lab::experiment::{Experiment, Results, Variation};
 use conicflow_messages::{Hinted, lasts};
 use doctor::doctor;
@@ -332,7 +334,7 @@ fn run_experiment(
     let variations = variations(experiment, &arguments.source)?;
     experiment.check_files(&pipeline.base)?;
     let (rows, mut results) = (Rows::of(pipeline)?, Results::new(experiment));
-    let (interrupted, mut finished) = (told_to_end()?, 0);
+    let (interrupted, mut finished) = (termination_flag()?, 0);
     for (index, variation) in variations.iter().enumerate() {
         let overrides: Vec<String> = variation.overrides.iter().cloned().chain(rows.overrides()).collect();
         if !arguments.quiet {

@@ -4,7 +4,7 @@ use crate::viewing::live::Live;
 use crate::viewing::player::Player;
 use anyhow::{Result, bail};
 use clap::Args;
-use conicflow_dataflow::told_to_end;
+use conicflow_dataflow::termination_flag;
 use conicflow_messages::Hinted;
 use conicflow_view::{Display, Listen, Page, Server, give_way};
 use std::io::{Write, stdout};
@@ -38,7 +38,7 @@ pub struct ViewArguments {
 /// The address cannot be listened at, or there is no such recording.
 pub fn view(arguments: &ViewArguments) -> Result<()> {
     give_way();
-    let told = told_to_end()?;
+    let terminated = termination_flag()?;
     let display = Arc::new(Display::default());
     let listen = Listen::read(arguments.listen.as_deref(), arguments.token.as_deref())?;
     if let Some(file) = &arguments.file {
@@ -50,12 +50,12 @@ pub fn view(arguments: &ViewArguments) -> Result<()> {
         let mut player =
             Player::open(file, arguments.topic.as_deref(), arguments.against.as_deref(), Arc::clone(&display))?;
         let _server = offer(&listen, display)?;
-        player.play(&told);
+        player.play(&terminated);
         return Ok(());
     }
     let live = Live::start(Arc::clone(&display), arguments.pipeline.clone())?;
     let _server = offer(&listen, display)?;
-    live.show(&told)
+    live.show(&terminated)
 }
 
 /// Offers the page, and prints where.

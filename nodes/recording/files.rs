@@ -8,7 +8,7 @@ use super::indexed::Indexed;
 use super::sequential::{Reader, Sequential};
 use super::summary::{MAX_RECORD_BYTES, summary, topics_with_messages};
 use anyhow::{Context as _, Error, Result, bail};
-use conicflow_dataflow::Stop;
+use conicflow_dataflow::{Stop, lock};
 use conicflow_messages::{Hinted, is_special};
 use mcap::{Channel, McapError, Message, Summary};
 use std::collections::{BTreeMap, BTreeSet};
@@ -16,7 +16,7 @@ use std::fmt::Display;
 use std::fs::{self, File};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// No compression makes more of a byte than lz4's 255.
 const MAX_EXPANSION: u64 = 256;
@@ -34,14 +34,14 @@ pub struct Files {
 
 /// A channel of a recording.
 #[derive(Clone, Debug)]
-pub struct Seen {
+pub struct SurveyedChannel {
     /// What it tells of itself.
     pub channel: Arc<Channel<'static>>,
     /// Its first message.
     pub first: Vec<u8>,
 }
 
-impl Seen {
+impl SurveyedChannel {
     /// The name of its message type.
     pub fn schema(&self) -> &str {
         self.channel.schema.as_ref().map_or("", |schema| &schema.name)
@@ -89,8 +89,8 @@ impl Files {
     ///
     /// # Errors
     /// A file cannot be read, or holds no MCAP.
-    pub fn survey(&self) -> Result<Vec<Seen>> {
-        let mut seen = BTreeMap::<String, Seen>::new();
+    pub fn survey(&self) -> Result<Vec<SurveyedChannel>> {
+        let mut seen = BTreeMap::<String, SurveyedChannel>::new();
         for path in self.paths() {
             // Where the file says what it has, it need not be read to its end.
             let topics = summary(path).ok().flatten().and_then(|summary| topics_with_messages(&summary));
@@ -102,7 +102,7 @@ impl Files {
                 match message {
                     Ok(Message { channel, data, .. }) => {
                         let topic = channel.topic.clone();
-                        seen.entry(topic).or_insert_with(|| Seen { channel, first: data.into_owned() });
+                        seen.entry(topic).or_insert_with(|| SurveyedChannel { channel, first: data.into_owned() });
                     }
                     // It is said when the file is played.
                     Err(error) => {
@@ -116,7 +116,7 @@ impl Files {
     }
 
     /// The same, where each file tells what it has, so that not much of it need be read.
-    pub fn survey_of_complete(&self) -> Option<Vec<Seen>> {
+    pub fn survey_of_complete(&self) -> Option<Vec<SurveyedChannel>> {
         let is_complete = |path: &PathBuf| summary(path).is_ok_and(|summary| summary.is_some());
         if self.paths().all(is_complete) { self.survey().ok() } else { None }
     }
@@ -352,7 +352,7 @@ fn gone(what: &impl Display) -> Error {
 /// Whether nothing was said yet of what is left out of a file: it is read anew for each jump, and by several readers.
 fn is_first_of(path: &Path) -> bool {
     static TOLD: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
-    TOLD.lock().unwrap_or_else(PoisonError::into_inner).insert(path.to_owned())
+    lock(&TOLD).insert(path.to_owned())
 }
 
 /// What is said of a file that ends or is broken in the middle; it is an error where it is no MCAP, or the only one and nothing

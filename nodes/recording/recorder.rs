@@ -18,7 +18,7 @@ use super::files::with_length;
 use super::own::{self, ENCODING, IMAGE, MESSAGE, SCHEMA};
 use super::summary::MAX_RECORD_BYTES;
 use anyhow::{Context as _, Error, Result};
-use conicflow_dataflow::{AnyMessage, FileUse, ItemType};
+use conicflow_dataflow::{AnyMessage, FileUse, ItemType, lock};
 use conicflow_messages::{
     ABSENT, Fields, Header, Hinted, INVALID_FAR, INVALID_NEAR, Named, Object, Text, Track, Velocity, is_special,
 };
@@ -35,14 +35,14 @@ use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read as _, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex, Weak};
 use std::thread;
 use std::time::{Duration, Instant};
 
 /// What was written is in the file after this time.
 const FLUSH: Duration = Duration::from_millis(900);
 /// How often is looked for something that is to be in the file.
-const LOOK: Duration = Duration::from_millis(100);
+const FLUSH_CHECK_PERIOD: Duration = Duration::from_millis(100);
 /// The frame of coordinates in which poses are.
 const WORLD: &str = "world";
 /// Of frames that no stage has put its name to.
@@ -238,16 +238,12 @@ impl Drop for Recorder {
     }
 }
 
-fn lock(files: &Mutex<Files>) -> MutexGuard<'_, Files> {
-    files.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 /// Sees to it, as long as there is a recorder, that what was written is in the file soon, also when nothing follows.
 fn keep_flushed(files: &Weak<Mutex<Files>>) {
     while let Some(files) = files.upgrade() {
         lock(&files).flush_if_due();
         drop(files);
-        thread::sleep(LOOK);
+        thread::sleep(FLUSH_CHECK_PERIOD);
     }
 }
 

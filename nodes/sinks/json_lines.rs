@@ -12,11 +12,11 @@ use std::path::{Path, PathBuf};
 
 /// Writes values as lines of JSON.
 pub struct JsonLines {
-    place: Place,
+    destination: Destination,
     line: Vec<u8>,
 }
 
-enum Place {
+enum Destination {
     StandardOutput,
     /// A regular file has a length of whole lines to go back to; a pipe or device has none.
     File {
@@ -38,7 +38,7 @@ pub enum Wrote {
 impl JsonLines {
     /// Lines on standard output.
     pub fn standard_output() -> Self {
-        Self::to(Place::StandardOutput)
+        Self::to(Destination::StandardOutput)
     }
 
     /// Lines in the file at `path`, whose folder is made where it is missing. Its content is kept if `append`, but for a
@@ -51,15 +51,15 @@ impl JsonLines {
             path.parent().map_or(Ok(()), std::fs::create_dir_all)?;
             let file = OpenOptions::new().read(append).write(true).create(true).truncate(!append).open(path)?;
             let whole = if append { cut_torn_line(&file)? } else { length(&file)? };
-            Ok(Place::File { file, path: path.to_owned(), whole })
+            Ok(Destination::File { file, path: path.to_owned(), whole })
         };
         open().map(Self::to).map_err(|error| {
             anyhow!(Hinted::of_writing(format!("cannot open `{}` for writing: {error}", path.display()), &error))
         })
     }
 
-    fn to(place: Place) -> Self {
-        Self { place, line: Vec::new() }
+    fn to(destination: Destination) -> Self {
+        Self { destination, line: Vec::new() }
     }
 
     /// The last line of a file that is gone on with.
@@ -67,7 +67,7 @@ impl JsonLines {
     /// # Errors
     /// The file cannot be read.
     pub fn last(&self) -> anyhow::Result<Option<Vec<u8>>> {
-        let Place::File { file, whole: Some(whole), .. } = &self.place else { return Ok(None) };
+        let Destination::File { file, whole: Some(whole), .. } = &self.destination else { return Ok(None) };
         let Some(end) = whole.checked_sub(1) else { return Ok(None) };
         let read = || {
             let start = end_of_last_line(file, end)?;
@@ -99,7 +99,7 @@ impl JsonLines {
         self.line.clear();
         express(&mut self.line).context("cannot express the message as JSON")?;
         self.line.push(b'\n');
-        match self.place.write(&self.line) {
+        match self.destination.write(&self.line) {
             Ok(()) => Ok(Wrote::Line),
             Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(Wrote::ReaderGone),
             Err(error) => Err(self.fault(&error)),
@@ -107,15 +107,15 @@ impl JsonLines {
     }
 
     fn fault(&self, error: &io::Error) -> anyhow::Error {
-        let path = match &self.place {
-            Place::StandardOutput => Path::new("standard output"),
-            Place::File { path, .. } => path,
+        let path = match &self.destination {
+            Destination::StandardOutput => Path::new("standard output"),
+            Destination::File { path, .. } => path,
         };
         anyhow!(Hinted::of_writing(format!("cannot write to `{}`: {error}", path.display()), error))
     }
 }
 
-impl Place {
+impl Destination {
     fn write(&mut self, line: &[u8]) -> io::Result<()> {
         match self {
             Self::StandardOutput => {

@@ -20,7 +20,7 @@ use std::time::{Duration, Instant};
 /// How often the stages are looked at.
 const PERIOD: Duration = Duration::from_secs(1);
 /// How often is looked whether the sink has ended.
-const LOOK: Duration = Duration::from_millis(250);
+const END_CHECK_PERIOD: Duration = Duration::from_millis(250);
 
 /// Parameters of `view_sink`.
 #[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
@@ -98,7 +98,7 @@ fn show_graph(shown: &Weak<Display>) {
     give_way();
     let (mut watch, mut pipeline, mut looked) = (GraphWatch::default(), None::<String>, Instant::now());
     while let Some(display) = shown.upgrade() {
-        if let Some((command, pipeline)) = display.next_command(LOOK).zip(pipeline.as_ref()) {
+        if let Some((command, pipeline)) = display.next_command(END_CHECK_PERIOD).zip(pipeline.as_ref()) {
             pausing::obey(pipeline, &command, &display);
         }
         if looked.elapsed() < PERIOD {

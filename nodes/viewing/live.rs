@@ -5,16 +5,16 @@ use super::{list_of, pausing};
 use crate::NODES;
 use anyhow::Result;
 use conicflow_dataflow::ports::Topic;
-use conicflow_dataflow::{ItemType, Requirements, RunningPipeline, Watching, monotonic_ns};
+use conicflow_dataflow::{ItemType, Requirements, RunningPipeline, Watching, lock, monotonic_ns};
 use conicflow_messages::{Item, Object, Track};
 use conicflow_view::{Command, Display, Gatherer};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::{self, sleep};
 use std::time::{Duration, Instant};
 
 /// How often is looked for pipelines, and whether somebody looks.
-const LOOK: Duration = Duration::from_millis(200);
+const PIPELINE_CHECK_PERIOD: Duration = Duration::from_millis(200);
 /// How often the stages are looked at.
 const PERIOD: Duration = Duration::from_secs(1);
 
@@ -31,10 +31,6 @@ pub struct Live {
     wanted: Arc<Mutex<Wanted>>,
     /// The pipeline that is shown now.
     shown: Arc<Mutex<Option<String>>>,
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Live {
@@ -71,7 +67,7 @@ impl Live {
                 Some(chosen) if self.display.is_watched() || chosen.sources().paused => self.attach(&chosen, &wanted),
                 Some(_) => {}
             }
-            sleep(LOOK);
+            sleep(PIPELINE_CHECK_PERIOD);
         }
         Ok(())
     }

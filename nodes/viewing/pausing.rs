@@ -1,18 +1,18 @@
 //! Pauses the run that a page shows, as a browser wishes: its recorded and simulated sources, and no camera.
 
-use conicflow_dataflow::{PauseWish, RunningPipeline, Sources, WatchError};
+use conicflow_dataflow::{PauseRequest, RunningPipeline, Sources, WatchError};
 use conicflow_view::{Command, Display, Run};
 
-/// Does what is wished of the pipeline of this name, and tells what follows; other wishes are not for a run.
+/// Does what is asked of the pipeline of this name, and tells what follows; other commands are not for a run.
 pub fn obey(pipeline: &str, command: &Command, display: &Display) {
-    let wish = match command {
-        Command::Play => PauseWish::Resume,
-        Command::Pause => PauseWish::Pause,
-        Command::Step { by: 1.. } => PauseWish::Step,
+    let request = match command {
+        Command::Play => PauseRequest::Resume,
+        Command::Pause => PauseRequest::Pause,
+        Command::Step { by: 1.. } => PauseRequest::Step,
         _ => return,
     };
-    let wished = || RunningPipeline::find(Some(pipeline), "its name")?.pause(wish);
-    match wished() {
+    let asked = || RunningPipeline::find(Some(pipeline), "its name")?.pause(request);
+    match asked() {
         Ok(sources) => tell(sources, display),
         // The page shows that it cannot be paused, or is over, before anybody can wish it.
         Err(error @ WatchError::Unclear(_)) => tracing::debug!("{error}"),

@@ -18,7 +18,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 /// How often is looked whether the program is to end, and whether somebody looks.
-const LOOK: Duration = Duration::from_millis(100);
+const END_CHECK_PERIOD: Duration = Duration::from_millis(100);
 /// A frame that is later than this does not make those behind it hurry.
 const LATE: Duration = Duration::from_millis(250);
 /// So far back is looked for the frame before, at first.
@@ -187,7 +187,8 @@ impl Player {
     /// Does what comes next: what somebody wants, or a step, or the next frame, or a while of nothing.
     fn play_on(&mut self) -> Result<()> {
         let due = self.due();
-        let left = due.map_or(LOOK, |due| due.saturating_duration_since(Instant::now()).min(LOOK));
+        let left =
+            due.map_or(END_CHECK_PERIOD, |due| due.saturating_duration_since(Instant::now()).min(END_CHECK_PERIOD));
         if let Some(command) = self.display.next_command(if self.steps == 0 { left } else { Duration::ZERO }) {
             self.obey(&command)?;
         } else if self.steps != 0 {

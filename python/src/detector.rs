@@ -3,13 +3,14 @@
 use crate::depth_array::DepthArray;
 use crate::record::{self, Record};
 use crate::{argument, fault, settings};
+use conicflow_dataflow::lock;
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::{AssemblerParameters, DetectError, Detector, ExtractorParameters};
 use conicflow_messages::{Camera, NoiseModel, Object};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use std::cell::RefCell;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard};
 
 /// Metres per unit where nothing is said.
 const MILLIMETRES: f64 = 0.001;
@@ -182,7 +183,7 @@ impl PyDetector {
 
 impl PyDetector {
     fn made(&self) -> MutexGuard<'_, Option<(Camera, Detector)>> {
-        self.made.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.made)
     }
 
     /// The detector for images of this size, that of the first.

@@ -3,13 +3,15 @@
 use crate::message::{Lender, Message};
 use crate::owned::Owned;
 use crate::{argument, fault};
-use conicflow_dataflow::{Context, ItemType, KeptMessage, ProcessError, PulledSource, PulledStage, RunError, Stop};
+use conicflow_dataflow::{
+    Context, ItemType, ProcessError, PulledSource, PulledStage, RetainedMessage, RunError, Stop, lock,
+};
 use pyo3::exceptions::PySystemExit;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::collections::BTreeMap;
 use std::io::{Write, stderr};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard};
 
 /// Exit code of a stage that could not be made ready: to start it anew would not help.
 const REFUSED: i32 = 2;
@@ -114,16 +116,16 @@ macro_rules! pulls {
 pulls!(PulledStage, PulledSource);
 
 /// A place in the run, until it is left; one that is not wanted any more has none.
-pub(crate) struct Place<T>(Owned<Mutex<Option<T>>>);
+pub(crate) struct PlaceInRun<T>(Owned<Mutex<Option<T>>>);
 
-impl<T: Pulls> Place<T> {
+impl<T: Pulls> PlaceInRun<T> {
     pub(crate) fn new(pulled: Option<T>) -> Self {
         Self(Owned::new(Mutex::new(pulled)))
     }
 
     /// What fills it; an error in a process that was forked from the one that joined the run.
     pub(crate) fn lock(&self) -> PyResult<MutexGuard<'_, Option<T>>> {
-        Ok(self.0.expect("stage")?.lock().unwrap_or_else(PoisonError::into_inner))
+        Ok(lock(self.0.expect("stage")?))
     }
 
     /// Adds to a counter.
@@ -144,10 +146,10 @@ impl<T: Pulls> Place<T> {
 }
 
 /// What was found in a further input: its name, the message, and what that carries.
-pub(crate) type Found = (String, KeptMessage, ItemType);
+pub(crate) type Found = (String, RetainedMessage, ItemType);
 
 /// What was found, to be shown when the stage is free again: Python may let another thread at it.
-pub(crate) fn found<'a>(inputs: impl Iterator<Item = (&'a str, KeptMessage, &'a ItemType)>) -> Vec<Found> {
+pub(crate) fn found<'a>(inputs: impl Iterator<Item = (&'a str, RetainedMessage, &'a ItemType)>) -> Vec<Found> {
     inputs.map(|(name, message, item)| (name.to_owned(), message, item.clone())).collect()
 }
 
@@ -159,7 +161,7 @@ impl Inputs {
     /// Adds what was found to a dictionary, by the names of the inputs.
     pub(crate) fn add_all(&self, all: &Bound<'_, PyDict>, found: Vec<Found>, received_ns: u64) -> PyResult<()> {
         for (name, message, item) in found {
-            let lender = self.0.lock().unwrap_or_else(PoisonError::into_inner).entry(name.clone()).or_default().clone();
+            let lender = lock(&self.0).entry(name.clone()).or_default().clone();
             all.set_item(&name, Message::new(all.py(), &name, &item, message, received_ns, &lender)?)?;
         }
         Ok(())

@@ -5,7 +5,7 @@
 use crate::owned::Owned;
 use crate::{array, fault, record};
 use bytemuck::{cast_slice, cast_slice_mut};
-use conicflow_dataflow::{AnyMessage, ItemType, KeptMessage};
+use conicflow_dataflow::{AnyMessage, ItemType, RetainedMessage};
 use conicflow_messages::{Header, Hinted};
 use pyo3::exceptions::PyBufferError;
 use pyo3::prelude::*;
@@ -78,7 +78,7 @@ pub(crate) struct Message {
 /// The bytes of a message.
 enum Content {
     /// In the memory of its writer.
-    Lent(Owned<(KeptMessage, Loan)>),
+    Lent(Owned<(RetainedMessage, Loan)>),
     /// In this process, as the items have to lie.
     Own { words: Box<[u64]>, length: usize },
 }
@@ -89,7 +89,7 @@ impl Message {
         py: Python<'py>,
         topic: &str,
         item: &ItemType,
-        message: KeptMessage,
+        message: RetainedMessage,
         received_ns: u64,
         lender: &Lender,
     ) -> PyResult<Bound<'py, Self>> {

@@ -3,19 +3,20 @@
 use crate::message::{Lender, Message};
 use crate::owned::Owned;
 use crate::{argument, fault};
+use conicflow_dataflow::ports::Polled;
 use conicflow_dataflow::{
-    DEFAULT_LOG, ItemType, LOG, Requirements, RunningPipeline, Seen, Watcher, log_to_standard_error, monotonic_ns,
+    DEFAULT_LOG, ItemType, LOG, Requirements, RunningPipeline, Watcher, lock, log_to_standard_error, monotonic_ns,
 };
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 /// Between two looks without a message.
-const LOOK: Duration = Duration::from_millis(1);
+const POLL_PERIOD: Duration = Duration::from_millis(1);
 /// So long it looks at most before Python may raise KeyboardInterrupt.
-const PATIENCE: Duration = Duration::from_millis(50);
+const INTERRUPT_CHECK_PERIOD: Duration = Duration::from_millis(50);
 
 /// Messages of topics of a running pipeline, from now on, until the run is over.
 #[pyclass(frozen, module = "conicflow")]
@@ -71,24 +72,24 @@ impl Reader {
         }
         loop {
             py.check_signals()?;
-            let seen = py.detach(|| {
-                let mut watcher = watcher.lock().unwrap_or_else(PoisonError::into_inner);
-                let Some(watcher) = &mut *watcher else { return Ok(Seen::Over) };
-                let deadline = Instant::now() + PATIENCE;
+            let polled = py.detach(|| {
+                let mut watcher = lock(watcher);
+                let Some(watcher) = &mut *watcher else { return Ok(Polled::Over) };
+                let deadline = Instant::now() + INTERRUPT_CHECK_PERIOD;
                 loop {
-                    match watcher.look().map_err(|error| fault::run(&error))? {
-                        Seen::Nothing if Instant::now() < deadline => sleep(LOOK),
-                        seen => return Ok::<_, PyErr>(seen),
+                    match watcher.poll().map_err(|error| fault::run(&error))? {
+                        Polled::Pending if Instant::now() < deadline => sleep(POLL_PERIOD),
+                        polled => return Ok::<_, PyErr>(polled),
                     }
                 }
             })?;
-            match seen {
-                Seen::Nothing => {}
-                Seen::Over => {
+            match polled {
+                Polled::Pending => {}
+                Polled::Over => {
                     self.close();
                     return Ok(None);
                 }
-                Seen::Message(index, message) => {
+                Polled::Message((index, message)) => {
                     let (topic, item, lender) = &self.topics[index];
                     return Message::new(py, topic, item, Arc::new(message), monotonic_ns(), lender).map(Some);
                 }
@@ -99,7 +100,7 @@ impl Reader {
     /// Leaves its place among the onlookers; messages that were received stay. Does nothing in a process that was forked.
     fn close(&self) {
         if let Some(watcher) = self.watcher.here() {
-            watcher.lock().unwrap_or_else(PoisonError::into_inner).take();
+            lock(watcher).take();
         }
     }
 

@@ -1,10 +1,10 @@
 //! Sources in Python: the program makes its messages in a loop of its own, and has the rights and duties of a source in Rust.
 
 use crate::fault;
-use crate::joined::{self, Inputs, Joined, Place};
+use crate::joined::{self, Inputs, Joined, PlaceInRun};
 use crate::payload::{HeaderChange, Payload};
 use crate::settings;
-use conicflow_dataflow::{PulledSource, join_as_source, monotonic_ns, tell_frame, unix_ns};
+use conicflow_dataflow::{PulledSource, join_as_source, monotonic_ns, report_frame, unix_ns};
 use conicflow_messages::{Header, NoiseModel, Text};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -21,7 +21,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// when the run ends, when as many frames are made as are wanted, and when it is replaced; the stream ends where the loop does.
 #[pyclass(frozen, extends = Joined, module = "conicflow")]
 pub(crate) struct Source {
-    pulled: Place<PulledSource>,
+    pulled: PlaceInRun<PulledSource>,
     inputs: Inputs,
     /// Whether it was told what the images are like.
     is_told: AtomicBool,
@@ -36,7 +36,7 @@ pub(crate) fn source(py: Python<'_>, total: Option<u64>) -> PyResult<Bound<'_, S
     let pulled = joined::join(py, || join_as_source(total))?;
     let joined = Joined::new(py, pulled.as_ref().map(|pulled| (pulled.context(), pulled.parameters())))?;
     let is_told = AtomicBool::new(joined.context.resume_at > 0);
-    Bound::new(py, (Source { pulled: Place::new(pulled), inputs: Inputs::default(), is_told }, joined))
+    Bound::new(py, (Source { pulled: PlaceInRun::new(pulled), inputs: Inputs::default(), is_told }, joined))
 }
 
 impl Source {
@@ -48,7 +48,7 @@ impl Source {
 
     /// Says once what the images are like, so that a wrong scale is seen.
     fn tell(&self, name: &str, header: &Header, pixels: &[u16]) {
-        let is_told = tell_frame("images", name, &header.camera, header.depth_scale, pixels);
+        let is_told = report_frame("images", name, &header.camera, header.depth_scale, pixels);
         self.is_told.fetch_or(is_told, Ordering::Relaxed);
     }
 }

@@ -1,16 +1,17 @@
 //! Stages in Python: the program asks for its messages in a loop of its own, and has the rights and duties of a stage in Rust.
 
 use crate::fault;
-use crate::joined::{self, Inputs, Joined, Place};
+use crate::joined::{self, Inputs, Joined, PlaceInRun};
 use crate::message::{Lender, Message};
 use crate::payload::{HeaderChange, Payload};
-use conicflow_dataflow::{ItemType, Pulled, PulledStage, join_as_stage};
+use conicflow_dataflow::ports::Polled;
+use conicflow_dataflow::{ItemType, PulledStage, join_as_stage};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::time::Duration;
 
 /// So long it waits at most before it looks around.
-const PATIENCE: Duration = Duration::from_millis(100);
+const INTERRUPT_CHECK_PERIOD: Duration = Duration::from_millis(100);
 
 /// A stage of a pipeline; `conicflow.stage()` makes it.
 ///
@@ -23,7 +24,7 @@ const PATIENCE: Duration = Duration::from_millis(100);
 /// `send` gives an empty list.
 #[pyclass(frozen, extends = Joined, module = "conicflow")]
 pub(crate) struct Stage {
-    pulled: Place<PulledStage>,
+    pulled: PlaceInRun<PulledStage>,
     topic: String,
     item: Option<ItemType>,
     lender: Lender,
@@ -43,7 +44,7 @@ pub(crate) fn stage(py: Python<'_>, same_frame: Vec<String>) -> PyResult<Bound<'
         .map(|pulled| pulled.input())
         .map_or((String::new(), None), |(topic, item)| (topic.to_owned(), Some(item.clone())));
     let (lender, inputs) = (Lender::default(), Inputs::default());
-    Bound::new(py, (Stage { pulled: Place::new(pulled), topic, item, lender, inputs }, joined))
+    Bound::new(py, (Stage { pulled: PlaceInRun::new(pulled), topic, item, lender, inputs }, joined))
 }
 
 #[pymethods]
@@ -54,13 +55,13 @@ impl Stage {
         }
         loop {
             py.check_signals()?;
-            let pulled = py.detach(|| match &mut *self.pulled.lock()? {
-                Some(pulled) => pulled.pull(PATIENCE).map_err(|error| fault::run(&error)),
-                None => Ok(Pulled::Over),
+            let polled = py.detach(|| match &mut *self.pulled.lock()? {
+                Some(pulled) => pulled.pull(INTERRUPT_CHECK_PERIOD).map_err(|error| fault::run(&error)),
+                None => Ok(Polled::Over),
             })?;
-            match (pulled, &self.item) {
-                (Pulled::Nothing, _) => {}
-                (Pulled::Message(message, received_ns), Some(item)) => {
+            match (polled, &self.item) {
+                (Polled::Pending, _) => {}
+                (Polled::Message((message, received_ns)), Some(item)) => {
                     let message = Message::new(py, &self.topic, item, message, received_ns, &self.lender)?;
                     let found = self.pulled.lock()?.as_ref().map(|pulled| joined::found(pulled.side_inputs()));
                     self.inputs.add_all(message.get().inputs(py), found.unwrap_or_default(), received_ns)?;

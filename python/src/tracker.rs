@@ -1,12 +1,13 @@
 //! The tracker: objects of successive frames in, tracks out.
 
 use crate::{argument, detector, fault, record, settings};
+use conicflow_dataflow::lock;
 use conicflow_detection::{Tracker, TrackerParameters};
 use conicflow_messages::is_rotation;
 use pyo3::prelude::*;
 use pyo3::types::PyList;
 use std::collections::BTreeMap;
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 /// Gives the objects of successive frames of one camera, or of several that tell their poses, an identity, a velocity and a
 /// filtered shape.
@@ -82,13 +83,13 @@ impl PyTracker {
             let hint = "give `world_from_camera` with each frame: only so are several cameras in one world";
             return Err(fault::value("a camera by its number has no pose", hint));
         }
-        if py.detach(|| self.stamps.lock().unwrap_or_else(PoisonError::into_inner).look(camera, stamp_ns)) {
+        if py.detach(|| lock(&self.stamps).look(camera, stamp_ns)) {
             let what = "frames come less than 0.1 ms apart by `stamp_ns`, which is in nanoseconds";
             let hint = "of milliseconds give stamp * 10**6, of microseconds stamp * 1000";
             fault::warn(py, what, hint)?;
         }
         let tracks = py.detach(|| {
-            let mut tracker = self.tracker.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut tracker = lock(&self.tracker);
             match pose {
                 Some(pose) => tracker.update_from(camera, &objects, stamp_ns, pose).map(<[_]>::to_vec),
                 None => Ok(tracker.update(&objects, stamp_ns).to_vec()),

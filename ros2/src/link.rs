@@ -4,7 +4,7 @@ use crate::Middleware;
 use std::time::{Duration, Instant};
 
 /// So long a router may take to answer before that is told.
-const PATIENCE: Duration = Duration::from_secs(1);
+const ROUTER_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Looks after the link to the router.
 pub(crate) struct Link {
@@ -29,7 +29,7 @@ impl Link {
             }
             return true;
         }
-        if self.missing.get_or_insert_with(Instant::now).elapsed() > PATIENCE && !self.is_told {
+        if self.missing.get_or_insert_with(Instant::now).elapsed() > ROUTER_TIMEOUT && !self.is_told {
             self.is_told = true;
             tracing::warn!(
                 "no router of ROS 2 is reached at `{connect}`; it is tried again\n  \

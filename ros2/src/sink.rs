@@ -20,8 +20,8 @@ const MARKERS: usize = 1;
 const TRANSFORMS: usize = 2;
 
 /// The sink waits so long for the router when it starts, so that the first messages are not lost.
-const PATIENCE: Duration = Duration::from_secs(1);
-const LOOK: Duration = Duration::from_millis(10);
+const ROUTER_TIMEOUT: Duration = Duration::from_secs(1);
+const ROUTER_CHECK_PERIOD: Duration = Duration::from_millis(10);
 /// Of frames whose source told no name.
 const NAMELESS: &str = "camera";
 
@@ -118,8 +118,8 @@ impl<T: Item + Marked, M: Middleware> Stage for Ros2Sink<T, M> {
         };
         let middleware = M::join(participant)?;
         let begin = Instant::now();
-        while !middleware.is_joined() && begin.elapsed() < PATIENCE && !context.stop.requested() {
-            std::thread::sleep(LOOK);
+        while !middleware.is_joined() && begin.elapsed() < ROUTER_TIMEOUT && !context.stop.requested() {
+            std::thread::sleep(ROUTER_CHECK_PERIOD);
         }
         Ok(Self { middleware, link: Link::new(&config.connect), config, items: PhantomData })
     }

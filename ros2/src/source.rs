@@ -9,7 +9,8 @@ use crate::participant::topic_fault;
 use crate::picture::{Kind, Picture};
 use crate::{Distro, End, Middleware, Participant, Via, Way};
 use conicflow_dataflow::{
-    ConfigFault, Context, EmptyFrames, Next, Output, SideInputs, Source, StageError, Stop, TOO_FAR, tell_frame, unix_ns,
+    ConfigFault, Context, EmptyFrames, Next, Output, SideInputs, Source, StageError, Stop, TOO_FAR, report_frame,
+    unix_ns,
 };
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
@@ -35,13 +36,13 @@ const MOST_WITHOUT_POSE: usize = 18;
 /// Transforms that wait at most: those of some seconds.
 const TRANSFORMS_WAITING: usize = 4096;
 /// An image waits so long for what tells its camera, and for the transforms of its time.
-const PATIENCE_WITH_CAMERA: Duration = Duration::from_secs(1);
-const PATIENCE_WITH_POSE: Duration = Duration::from_millis(200);
+const CAMERA_INFO_TIMEOUT: Duration = Duration::from_secs(1);
+const TRANSFORM_TIMEOUT: Duration = Duration::from_millis(200);
 /// After so long without an image that is told.
-const SILENCE: Duration = Duration::from_secs(5);
+const REPORT_SILENCE_AFTER: Duration = Duration::from_secs(5);
 /// How often is looked for something while nothing comes, and while an image waits.
-const LOOK: Duration = Duration::from_millis(50);
-const LOOK_AGAIN: Duration = Duration::from_millis(5);
+const IMAGE_TIMEOUT: Duration = Duration::from_millis(50);
+const IMAGE_TIMEOUT_WHILE_ONE_WAITS: Duration = Duration::from_millis(5);
 /// So many topics are named in a hint.
 const MOST_NAMED: usize = 8;
 
@@ -183,8 +184,8 @@ impl<M: Middleware> Source for Ros2Source<M> {
             config,
             transforms: Transforms::live(),
             waiting: VecDeque::new(),
-            patience_with_camera: PATIENCE_WITH_CAMERA,
-            patience_with_pose: PATIENCE_WITH_POSE,
+            patience_with_camera: CAMERA_INFO_TIMEOUT,
+            patience_with_pose: TRANSFORM_TIMEOUT,
             without_camera: None,
             without_pose: None,
             checked: None,
@@ -225,7 +226,7 @@ impl<M: Middleware> Source for Ros2Source<M> {
 impl<M: Middleware> Ros2Source<M> {
     /// Takes the next image, as soon as there is one. Of those whose camera is not known the newest alone waits.
     fn take_image(&mut self, output: &mut Output<u16>) {
-        let look = if self.waiting.is_empty() { LOOK } else { LOOK_AGAIN };
+        let look = if self.waiting.is_empty() { IMAGE_TIMEOUT } else { IMAGE_TIMEOUT_WHILE_ONE_WAITS };
         let came = self.middleware.receive(IMAGES, look);
         output.count(LOST, self.middleware.take_lost(IMAGES));
         let Some(message) = came else { return };
@@ -330,7 +331,7 @@ impl<M: Middleware> Ros2Source<M> {
             return;
         };
         output.count(WITHOUT_POSE, 1);
-        if self.without_pose.get_or_insert_with(Instant::now).elapsed() > SILENCE {
+        if self.without_pose.get_or_insert_with(Instant::now).elapsed() > REPORT_SILENCE_AFTER {
             let frame = header.source.as_str().unwrap_or_default();
             let what = format!("nothing tells where `{frame}` is in `{world}`: frames go without a pose");
             self.notices.tell(&(
@@ -347,7 +348,7 @@ impl<M: Middleware> Ros2Source<M> {
 
     /// Says once what the images are like, so that a wrong scale is seen.
     fn tell(&mut self, header: &Header, pixels: &[u16]) {
-        let tell = || tell_frame("images", &self.ends[IMAGES].topic, &header.camera, header.depth_scale, pixels);
+        let tell = || report_frame("images", &self.ends[IMAGES].topic, &header.camera, header.depth_scale, pixels);
         self.is_told = self.is_told || tell();
     }
 
@@ -356,7 +357,7 @@ impl<M: Middleware> Ros2Source<M> {
         if !is_joined {
             self.heard.0 = Instant::now();
         }
-        if self.heard.0.elapsed() > SILENCE && !self.heard.1 {
+        if self.heard.0.elapsed() > REPORT_SILENCE_AFTER && !self.heard.1 {
             self.heard.1 = true;
             let Hinted { what, hint, .. } = self.explain_silence();
             tracing::warn!("{what}\n  hint: {hint}");

@@ -3,7 +3,7 @@
 #[path = "../../fuzz/readers.rs"]
 mod readers;
 
-use conicflow_bridge::{Place, WIRE_VERSION, encode_message};
+use conicflow_bridge::{StreamPosition, WIRE_VERSION, encode_message};
 use conicflow_dataflow::pipeline::Compression;
 use conicflow_dataflow::{BUILT_IN, ItemType};
 use conicflow_messages::{Camera, END_OF_STREAM, Ellipse, Header, Hop, Item, Text};
@@ -46,7 +46,7 @@ fn begin_the_corpus_of_messages() {
     let mut header = Header { camera, depth_scale: 0.001, source: Text::new("frame-000012.png"), ..Header::default() };
     header.add_hop(Hop { stage: Text::new("source"), received_ns: 1, sent_ns: u64::MAX });
     let write = |item: &ItemType, name: &str, header: &Header, items: &[u8], how| {
-        let message = encode_message(Place::default(), item, header, items, how).unwrap();
+        let message = encode_message(StreamPosition::default(), item, header, items, how).unwrap();
         fs::write(folder.join(name), message).unwrap();
     };
     let mut ellipse = Ellipse { line: 2, first: 1, last: 3, center: [-0.0, 0.1, 2.0], ..Ellipse::default() };

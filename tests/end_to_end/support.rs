@@ -19,7 +19,7 @@ use tempfile::TempDir;
 
 /// Whatever a test waits for comes long before this; it has failed when this is over.
 pub const DEADLINE: Duration = Duration::from_secs(120);
-pub const LOOK: Duration = Duration::from_millis(20);
+pub const CHECK_PERIOD: Duration = Duration::from_millis(20);
 
 /// Five stages that find and track a ball in small images, every frame of it, until it is told to stop.
 pub const TRACKING: &str = r#"
@@ -271,7 +271,7 @@ impl Drop for Playground {
         let since = Instant::now();
         while !self.processes().is_empty() && since.elapsed() < DEADLINE {
             self.processes().into_iter().for_each(|process| signal(process, Signal::KILL));
-            std::thread::sleep(LOOK);
+            std::thread::sleep(CHECK_PERIOD);
         }
         if self.runtime().join("shm").is_dir() {
             self.command(&["doctor", "--clean"]).output().ok();
@@ -443,7 +443,7 @@ impl Started {
         while !holds() {
             assert!(self.child.try_wait().unwrap().is_none(), "it ended before {what}: {}", self.stderr());
             assert!(since.elapsed() < DEADLINE, "never came true: {what}: {}", self.stderr());
-            std::thread::sleep(LOOK);
+            std::thread::sleep(CHECK_PERIOD);
         }
     }
 
@@ -467,7 +467,7 @@ impl Started {
                 return Ended { code: status.code(), stdout: self.text("stdout"), stderr: self.stderr() };
             }
             assert!(since.elapsed() < DEADLINE, "it does not end: {}", self.stderr());
-            std::thread::sleep(LOOK);
+            std::thread::sleep(CHECK_PERIOD);
         }
     }
 }
@@ -482,7 +482,7 @@ impl Drop for Started {
             signal(self.child.id(), Signal::TERM);
         }
         while is_running(&mut self.child) && since.elapsed() < DEADLINE {
-            std::thread::sleep(LOOK);
+            std::thread::sleep(CHECK_PERIOD);
         }
         let ends = !is_running(&mut self.child);
         self.child.kill().ok();
@@ -496,7 +496,7 @@ pub fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
     let since = Instant::now();
     while !holds() {
         assert!(since.elapsed() < DEADLINE, "never came true: {what}");
-        std::thread::sleep(LOOK);
+        std::thread::sleep(CHECK_PERIOD);
     }
 }
 

@@ -1,7 +1,7 @@
 //! The page of `conicflow view`, asked over plain sockets: what it shows of runs and recordings, who is refused, and that many
 //! who look, or leave in the middle, cost a run nothing. What a browser makes of it is in `browser.rs`.
 
-use crate::support::{DEADLINE, LOOK, Playground, Started, TRACKING, wait_until};
+use crate::support::{CHECK_PERIOD, DEADLINE, Playground, Started, TRACKING, wait_until};
 use serde_json::{Value as Json, json};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 /// A run that goes on until it is ended, at a pace that leaves room for others.
 pub const SLOWLY: [&str; 3] = ["run", "--set", "source.rate_hz=30"];
 /// No answer takes so long.
-const PATIENCE: Duration = Duration::from_secs(90);
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(90);
 
 /// A page that is offered, and where.
 pub struct Page {
@@ -31,7 +31,7 @@ pub struct Answer {
 /// Sends a request as it is to `host`, and reads the answer.
 pub fn exchange(host: &str, request: &str) -> Answer {
     let mut stream = TcpStream::connect(host).unwrap();
-    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    stream.set_read_timeout(Some(ANSWER_TIMEOUT)).unwrap();
     stream.write_all(request.as_bytes()).unwrap();
     let mut reader = BufReader::new(stream);
     let (mut head, mut length) = (String::new(), 0);
@@ -132,7 +132,7 @@ impl Page {
                 return (json, pixels);
             }
             assert!(since.elapsed() < DEADLINE, "the page never showed {what}, but at last {json}");
-            sleep(LOOK);
+            sleep(CHECK_PERIOD);
         }
     }
 
@@ -268,7 +268,7 @@ fn a_hundred_browsers_and_those_that_leave_in_the_middle_cost_the_run_nothing() 
     let mut refused = 0;
     for number in 0..50 {
         let mut stream = TcpStream::connect(&page.host).unwrap();
-        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        stream.set_read_timeout(Some(ANSWER_TIMEOUT)).unwrap();
         write!(stream, "GET /look?browser=l{number} HTTP/1.1\r\nHost: {}\r\n\r\n", page.host).ok();
         let mut begin = [0; 12];
         // Who leaves when a few bytes have come leaves in the middle.

@@ -13,7 +13,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 /// A request that nothing new comes for is answered after this time.
-const PATIENCE: Duration = Duration::from_millis(1000);
+const UPDATE_TIMEOUT: Duration = Duration::from_millis(1000);
 /// How long the name is that a browser gives itself, at most.
 const LONGEST_NAME: usize = 40;
 /// What is sent to a browser begins with a text, whose length is a multiple of this.
@@ -50,7 +50,7 @@ impl Page {
         if browser.is_empty() || browser.len() > LONGEST_NAME {
             return Response::refusal(400, "a browser gives itself a name of up to 40 letters");
         }
-        let look = self.display.look(browser, request.number("frames"), request.number("told"), PATIENCE);
+        let look = self.display.look(browser, request.number("frames"), request.number("told"), UPDATE_TIMEOUT);
         let look = match look {
             Ok(look) => look,
             Err(too_many) => {

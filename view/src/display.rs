@@ -117,7 +117,7 @@ struct State {
 }
 
 /// What a browser has not seen yet.
-pub(crate) struct Look {
+pub(crate) struct Update {
     pub(crate) frame: Option<Arc<Frame>>,
     pub(crate) frames: u64,
     pub(crate) about: Option<Arc<About>>,
@@ -195,7 +195,7 @@ impl Display {
 
     /// What a browser has not seen that knows the first `frames` frames and `told` things; waits for it no longer than
     /// `patience`.
-    pub(crate) fn look(&self, browser: &str, frames: u64, told: u64, patience: Duration) -> Result<Look, TooMany> {
+    pub(crate) fn look(&self, browser: &str, frames: u64, told: u64, patience: Duration) -> Result<Update, TooMany> {
         let mut state = self.state();
         state.browsers.retain(|_, asked| asked.elapsed() < LEFT);
         if !state.browsers.contains_key(browser) && state.browsers.len() >= MAX_BROWSERS {
@@ -205,7 +205,7 @@ impl Display {
         let has_nothing_new = |state: &mut State| state.frames == frames && state.told == told;
         let waited = self.changed.wait_timeout_while(state, patience, has_nothing_new);
         let state = waited.unwrap_or_else(PoisonError::into_inner).0;
-        Ok(Look {
+        Ok(Update {
             frame: state.frame.clone().filter(|_| state.frames != frames),
             frames: state.frames,
             about: Some(Arc::clone(&state.about)).filter(|_| state.told != told),

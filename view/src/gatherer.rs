@@ -11,7 +11,7 @@ const MAX_PIXELS: usize = 1 << 25;
 /// ... and there are no more of them.
 const MAX_IMAGES: usize = 32;
 /// Where no list has come for so long, depth images are shown without, and the other way round.
-const PATIENCE: Duration = Duration::from_secs(2);
+const PAIRING_TIMEOUT: Duration = Duration::from_secs(2);
 /// Nobody sees more images than one in so long: others are not copied.
 const SHORTEST_INTERVAL: Duration = Duration::from_millis(20);
 /// So many in a row may come sooner: each step of a run that is paused is to be seen.
@@ -65,13 +65,13 @@ impl Gatherer {
         }
         // Its list may come all the same, and the frame is shown once more then.
         let waited = self.waits_since.map_or(Duration::ZERO, |since| now.saturating_duration_since(since));
-        (waited > PATIENCE).then_some(alone)
+        (waited > PAIRING_TIMEOUT).then_some(alone)
     }
 
     /// Takes what was found in a frame; the frame to be shown, unless its depth image was another camera's or has gone.
     pub fn list(&mut self, header: &Header, list: List, latency_ms: Option<f64>, now: Instant) -> Option<Frame> {
         let found = self.depths.iter().position(|depth| key(&depth.header) == key(header));
-        let has_images = self.taken.is_some_and(|taken| now.saturating_duration_since(taken) < PATIENCE);
+        let has_images = self.taken.is_some_and(|taken| now.saturating_duration_since(taken) < PAIRING_TIMEOUT);
         if found.is_none() && has_images {
             return None;
         }
@@ -106,7 +106,7 @@ mod tests {
         assert!(gatherer.list(&header("left", 3), List::default(), None, now).is_some());
         assert!(gatherer.list(&header("left", 9), List::default(), None, now).is_none(), "its image was left out");
         assert!(
-            gatherer.list(&header("left", 99), List::default(), None, now + 5 * PATIENCE).is_some(),
+            gatherer.list(&header("left", 99), List::default(), None, now + 5 * PAIRING_TIMEOUT).is_some(),
             "no images come"
         );
     }
@@ -117,7 +117,7 @@ mod tests {
         assert!(Gatherer::new(false).depth(&header("left", 0), &[1], now).is_some());
         let mut gatherer = Gatherer::new(true);
         assert!(gatherer.depth(&header("left", 0), &[1], now).is_none());
-        let later = now + 2 * PATIENCE;
+        let later = now + 2 * PAIRING_TIMEOUT;
         let frame = gatherer.depth(&header("left", 1), &[7], later).unwrap();
         assert_eq!((frame.depth.unwrap().pixels[0], frame.header.sequence), (7, 1));
     }
@@ -126,7 +126,7 @@ mod tests {
     fn lists_that_come_again_are_shown_with_their_images() {
         let (mut gatherer, now) = (Gatherer::new(true), Instant::now());
         gatherer.depth(&header("left", 0), &[1], now);
-        let later = now + 2 * PATIENCE;
+        let later = now + 2 * PAIRING_TIMEOUT;
         assert!(gatherer.depth(&header("left", 1), &[7], later).is_some(), "alone");
         let frame = gatherer.list(&header("left", 1), List::Objects(Vec::new()), None, later).unwrap();
         assert_eq!(frame.depth.unwrap().pixels[0], 7);
@@ -138,7 +138,7 @@ mod tests {
         let (mut gatherer, now) = (Gatherer::new(true), Instant::now());
         gatherer.depth(&header("left", 0), &[1], now);
         gatherer.list(&header("left", 0), List::default(), None, now).unwrap();
-        let later = now + 20 * PATIENCE;
+        let later = now + 20 * PAIRING_TIMEOUT;
         assert!(gatherer.depth(&header("left", 1), &[7], later).is_none());
         assert!(gatherer.list(&header("left", 1), List::default(), None, later).unwrap().depth.is_some());
     }

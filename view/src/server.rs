@@ -15,7 +15,7 @@ use std::time::Duration;
 /// No more connections than this; a browser has up to six.
 const MAX_CONNECTIONS: usize = 72;
 /// The server is there for itself at once, or is gone.
-const PATIENCE: Duration = Duration::from_millis(1000);
+const CONNECT_TIMEOUT: Duration = Duration::from_millis(1000);
 /// What a thread of a connection needs.
 const STACK_BYTES: usize = 256 * 1024;
 /// How far who shows gives way to those at work.
@@ -94,7 +94,7 @@ impl Drop for Server {
             ip if ip.is_unspecified() => SocketAddr::from((Ipv4Addr::LOCALHOST, self.address.port())),
             _ => self.address,
         };
-        TcpStream::connect_timeout(&own, PATIENCE).ok();
+        TcpStream::connect_timeout(&own, CONNECT_TIMEOUT).ok();
     }
 }
 

@@ -1,10 +1,10 @@
 //! What is counted of an edge while it carries messages.
 
 use conicflow_dataflow::relay::ThrottledWarning;
-use conicflow_dataflow::{EdgeReport, InputCounts};
+use conicflow_dataflow::{EdgeReport, InputCounts, lock};
 use std::fmt::Arguments;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 /// Counts of one edge, written by its thread and read by another.
 #[derive(Debug, Default)]
@@ -43,7 +43,7 @@ impl EdgeCounts {
 
     /// What is counted of messages that leave as they come out of shared memory.
     pub(crate) fn input(&self) -> MutexGuard<'_, InputCounts> {
-        self.input.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.input)
     }
 
     pub(crate) fn add(counter: &AtomicU64, count: u64) {
@@ -86,7 +86,7 @@ impl LeftOut {
     /// Counts a message, and tells what is wrong with it.
     pub(crate) fn add(&self, what: Arguments<'_>) {
         EdgeCounts::add(&self.counts.malformed, 1);
-        self.warning.lock().unwrap_or_else(PoisonError::into_inner).warn(what);
+        lock(&self.warning).warn(what);
     }
 }
 

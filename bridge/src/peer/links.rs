@@ -15,16 +15,16 @@ use crate::told_once::ToldOnce;
 use crate::wire::seal::Seal;
 use crate::wire::{WireError, decode_note, encode_note, layouts};
 use conicflow_dataflow::ports::Delivery;
-use conicflow_dataflow::{BridgePlan, Edge, monotonic_ns};
+use conicflow_dataflow::{BridgePlan, Edge, lock, monotonic_ns};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 /// A peer of which nothing was heard for so long is not connected.
-const SILENCE: Duration = Duration::from_millis(1500);
+const DISCONNECTED_AFTER: Duration = Duration::from_millis(1500);
 /// Of a peer that has not come after this time the user is told.
-const PATIENCE: Duration = Duration::from_secs(5);
+const REPORT_MISSING_AFTER: Duration = Duration::from_secs(5);
 
 /// So many sessions of a peer are told of: the present one, one that is about to prove itself, and as many again of which
 /// somebody repeats what they said. Those give way to one another, so that a new session proves itself all the same.
@@ -107,10 +107,6 @@ pub(crate) struct PeerState {
     /// For how long that is so.
     pub time: Duration,
     pub clock: Option<Exchange>,
-}
-
-fn lock<V>(mutex: &Mutex<V>) -> MutexGuard<'_, V> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Links {
@@ -211,7 +207,7 @@ impl Links {
             );
         }
         // What the one before has said may have been long under way.
-        let begun_ns = peer.proved_ns[1].saturating_add(PATIENCE.as_nanos() as u64);
+        let begun_ns = peer.proved_ns[1].saturating_add(REPORT_MISSING_AFTER.as_nanos() as u64);
         let is_other = |sample: &ClockSample| sample.machine == self.machine && sample.session != self.session;
         let is_twice_here = samples.iter().any(|sample| is_other(sample) && sample.received_ns > begun_ns);
         if is_twice_here && peer.told_of_rivals.insert(Rivals::Here) {
@@ -400,7 +396,7 @@ impl Links {
                 tracing::warn!("the link to machine `{machine}` is down{waits}");
                 peer.since = None;
             }
-            if now.saturating_duration_since(self.started) > PATIENCE {
+            if now.saturating_duration_since(self.started) > REPORT_MISSING_AFTER {
                 miss(machine, peer);
             }
             let since = peer.since.or(peer.heard).unwrap_or(self.started);
@@ -468,7 +464,7 @@ fn is_connected(peer: &Peer, now: Instant) -> bool {
 }
 
 fn is_recent(time: Option<Instant>, now: Instant) -> bool {
-    time.is_some_and(|time| now.saturating_duration_since(time) < SILENCE)
+    time.is_some_and(|time| now.saturating_duration_since(time) < DISCONNECTED_AFTER)
 }
 
 /// Says once that a peer has never been heard of, or does not hear this one, and was not refused either.
@@ -481,13 +477,13 @@ fn miss(machine: &str, peer: &mut Peer) {
         tracing::warn!(
             "nothing was heard of machine `{machine}` in {} s\n  hint: is it started there with `--machine {machine}`, and \
              does one side `connect` to where the other listens? a router joins only what has mode: \"client\"",
-            PATIENCE.as_secs()
+            REPORT_MISSING_AFTER.as_secs()
         );
     } else {
         tracing::warn!(
             "machine `{machine}` is heard, and in {} s has not told that it hears this one\n  hint: what does it say there? \
              does an access control keep what this machine sends from it? somebody may also repeat what it once sent",
-            PATIENCE.as_secs()
+            REPORT_MISSING_AFTER.as_secs()
         );
     }
 }

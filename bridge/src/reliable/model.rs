@@ -10,7 +10,7 @@ use super::send_log::SendLog;
 use super::sequence::{Claim, Sequence, Verdict};
 use crate::edge_tests::edge;
 use crate::peer::heartbeat::Ack;
-use crate::wire::{Place, encode_message, place_of};
+use crate::wire::{StreamPosition, encode_message, position_of};
 use conicflow_dataflow::pipeline::Compression;
 use conicflow_dataflow::ports::Delivery;
 use conicflow_messages::Header;
@@ -193,13 +193,13 @@ struct Edge {
 impl Edge {
     /// What tells two states apart: not the time, nor what follows from the rest.
     fn essence(&self) -> impl Hash + PartialEq + Debug {
-        let place = |bytes: &Vec<u8>| {
-            let Place { stream, number, oldest } = place_of(bytes).unwrap();
+        let position = |bytes: &Vec<u8>| {
+            let StreamPosition { stream, number, oldest } = position_of(bytes).unwrap();
             (stream, number, oldest, content(bytes))
         };
         let acked = |ack: &Ack| (ack.stream, ack.next, ack.finished, ack.ended.len());
         let robot = self.robot.as_ref().map(|robot| {
-            let kept: Vec<_> = robot.queue.kept().map(place).collect();
+            let kept: Vec<_> = robot.queue.kept().map(position).collect();
             (robot.queue.essence(), kept, robot.next, robot.ack.as_ref().map(acked))
         });
         let base = self.base.as_ref().map(|base| {
@@ -209,7 +209,7 @@ impl Edge {
         });
         let of_robot = (self.acknowledged, self.has_heard, self.knows_finished, self.lost);
         let of_base = (self.is_finished, self.noted_end, self.is_marked, self.has_base_left);
-        let under_way: Vec<_> = self.link.iter().map(place).collect();
+        let under_way: Vec<_> = self.link.iter().map(position).collect();
         let read = (self.reader, self.told, self.held.clone(), self.finished.clone());
         (self.kills, robot, base, of_robot, of_base, under_way, read)
     }
@@ -236,9 +236,9 @@ impl Debug for Edge {
 }
 
 /// A message as it goes onto the link, and behind it what the reader is to see of it.
-fn message(place: Place, number: u64, ends: bool) -> Vec<u8> {
+fn message(position: StreamPosition, number: u64, ends: bool) -> Vec<u8> {
     let item = edge(Delivery::Lossless, "reader").item;
-    let mut bytes = encode_message(place, &item, &Header::default(), &[], Compression::None).unwrap();
+    let mut bytes = encode_message(position, &item, &Header::default(), &[], Compression::None).unwrap();
     bytes.extend(number.to_le_bytes());
     bytes.push(u8::from(ends));
     bytes
@@ -356,7 +356,7 @@ impl Edge {
             return None;
         }
         let (number, ends) = (robot.next, robot.next == trial.messages);
-        let bytes = message(robot.queue.place(), number, ends);
+        let bytes = message(robot.queue.next_position(), number, ends);
         if ends {
             robot.queue.sent_end(WRITER, &bytes, self.now);
         } else {
@@ -393,9 +393,9 @@ impl Edge {
         // A reader that must not miss a message is waited for.
         let bytes = self.link.pop_front_if(|bytes| content(bytes).1 || !is_away)?;
         base.has_heard = true;
-        let (place, (number, ends)) = (place_of(&bytes).unwrap(), content(&bytes));
+        let (position, (number, ends)) = (position_of(&bytes).unwrap(), content(&bytes));
         let claim = Claim {
-            place,
+            position,
             session: self.starts,
             number: Some(number),
             follows: base.follow.is_none_or(|follow| follow == number),
@@ -414,7 +414,7 @@ impl Edge {
             base.sequence.taken();
             base.follow = Some(number + 1);
         }
-        if ends && base.sequence.is_end_to_hear(place, verdict) {
+        if ends && base.sequence.is_end_to_hear(position, verdict) {
             base.count = number;
             base.has_ended = true;
             self.noted_end = (trial.fault != Fault::ForgetsEnd).then_some(number);

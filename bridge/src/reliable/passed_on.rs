@@ -9,9 +9,9 @@ pub(crate) struct PassedOn {
 }
 
 impl PassedOn {
-    /// Notes that the message at this place was passed on.
-    pub(crate) fn add(&mut self, place: (u64, u64)) {
-        self.messages.push_back(place);
+    /// Notes that the message at this position was passed on.
+    pub(crate) fn add(&mut self, position: (u64, u64)) {
+        self.messages.push_back(position);
     }
 
     /// The number of the first message of the expected stream that may be needed again, where the readers here have not finished
@@ -34,7 +34,7 @@ mod tests {
         (3..7).for_each(|number| passed_on.add((5, number)));
         assert_eq!(passed_on.finished(2, (5, 7)), 5);
         assert_eq!(passed_on.finished(0, (5, 7)), 7, "all is finished");
-        [(5, 7), (6, 0)].into_iter().for_each(|place| passed_on.add(place));
+        [(5, 7), (6, 0)].into_iter().for_each(|position| passed_on.add(position));
         assert_eq!(passed_on.finished(2, (6, 1)), 0, "what is of an earlier stream counts for nothing");
     }
 }

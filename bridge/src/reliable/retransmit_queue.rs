@@ -4,7 +4,7 @@
 use super::send_log::SendLog;
 use super::window::Window;
 use crate::peer::heartbeat::Ack;
-use crate::wire::{Place, set_oldest};
+use crate::wire::{StreamPosition, set_oldest};
 use conicflow_dataflow::Receiver;
 use conicflow_dataflow::ports::Delivery;
 use std::collections::BTreeSet;
@@ -175,16 +175,16 @@ impl RetransmitQueue {
         self.waiting().any(|remote| remote.lossless || alive(&remote.machine))
     }
 
-    /// The place of the next message.
-    pub(crate) fn place(&self) -> Place {
-        Place { stream: self.stream, number: self.next, oldest: self.oldest() }
+    /// The position of the next message.
+    pub(crate) fn next_position(&self) -> StreamPosition {
+        StreamPosition { stream: self.stream, number: self.next, oldest: self.oldest() }
     }
 
     fn oldest(&self) -> u64 {
         self.log.oldest().unwrap_or(self.next)
     }
 
-    /// Counts the message that was made for [`RetransmitQueue::place`], and keeps it if somebody must not miss it.
+    /// Counts the message that was made for [`RetransmitQueue::next_position`], and keeps it if somebody must not miss it.
     pub(crate) fn sent(&mut self, bytes: &[u8], now: Instant) {
         if self.log.len() == 0 {
             self.progress = now;
@@ -323,7 +323,7 @@ mod tests {
         let later = start + RESEND_AFTER;
         assert!(queue.due(later, |_| true).is_empty(), "all of them came");
         assert!(!queue.is_settled(later));
-        assert_eq!((queue.place().oldest, queue.unacknowledged()), (1, 0));
+        assert_eq!((queue.next_position().oldest, queue.unacknowledged()), (1, 0));
         queue.acknowledge("base", None, Some(later), later);
         let first_bytes: Vec<_> = queue.due(later + RESEND_AFTER, |_| true).iter().map(|bytes| bytes[0]).collect();
         assert_eq!(first_bytes, [1, 2, 3]);
@@ -347,7 +347,7 @@ mod tests {
             })
             .collect();
         assert_eq!(told, [false, true, false, false, false, true]);
-        assert_eq!((queue.place().oldest, queue.was_overstated()), (2, false));
+        assert_eq!((queue.next_position().oldest, queue.was_overstated()), (2, false));
         let other = Ack { stream: 2, ..ack(u64::MAX, &[]) };
         queue.acknowledge("base", Some(&other), Some(start), start);
         assert!(!queue.was_overstated(), "it is of another stream");
@@ -362,12 +362,12 @@ mod tests {
         queue.finish("base", start);
         let later = start + RESEND_AFTER;
         assert!(queue.due(later, |_| true).is_empty() && !queue.is_wanted(|_| true) && queue.is_settled(later));
-        assert_eq!((queue.place().oldest, queue.lost_if_it_ends()), (3, 0), "nothing is kept for it");
+        assert_eq!((queue.next_position().oldest, queue.lost_if_it_ends()), (3, 0), "nothing is kept for it");
         queue.acknowledge("base", None, Some(later), later);
         assert!(queue.is_wanted(|_| false) && !queue.is_settled(later));
         queue.sent(&[3; 40], later);
         let first_bytes: Vec<_> = queue.due(later + RESEND_AFTER, |_| true).iter().map(|bytes| bytes[0]).collect();
-        assert_eq!((first_bytes, queue.place().oldest), (vec![3], 3));
+        assert_eq!((first_bytes, queue.next_position().oldest), (vec![3], 3));
     }
 
     #[test]
@@ -405,7 +405,7 @@ mod tests {
         assert_eq!(first_bytes, [1, 2]);
         queue.acknowledge("base", Some(&ack(3, &[])), Some(later), later);
         assert!(queue.due(later + RESEND_AFTER, |_| true).is_empty());
-        assert_eq!((queue.place().oldest, queue.lost()), (3, 0));
+        assert_eq!((queue.next_position().oldest, queue.lost()), (3, 0));
         queue.finish("base", later);
         assert!(queue.is_settled(later));
     }
@@ -505,7 +505,7 @@ mod tests {
         assert!(!queue.is_settled(gone), "nothing has been given up yet");
         queue.acknowledge("base", None, Some(start), gone);
         assert!(queue.log.has_room() && queue.is_settled(gone));
-        assert_eq!((queue.lost(), queue.place().oldest), (CAPACITY as u64, CAPACITY as u64));
+        assert_eq!((queue.lost(), queue.next_position().oldest), (CAPACITY as u64, CAPACITY as u64));
     }
 
     #[test]

@@ -2,7 +2,7 @@
 //! that the process that takes the place of a killed one sends them again; each message is there before it goes out. So does how many
 //! were given up, which decides the exit code of the run.
 
-use crate::wire::{Place, place_of};
+use crate::wire::{StreamPosition, position_of};
 use std::collections::VecDeque;
 use std::fs::File;
 use std::io;
@@ -28,24 +28,25 @@ impl SendLog {
     /// The log of a topic in this folder, with what an earlier process has left in it.
     pub(crate) fn in_folder(folder: PathBuf, topic: &str) -> Self {
         let files = Files { folder, topic: topic.replace('/', "."), open: [const { None }; CAPACITY] };
-        let mut found: Vec<(Place, Vec<u8>)> = (0..CAPACITY as u64).filter_map(|slot| files.read(slot)).collect();
-        let stream = found.iter().map(|(place, _)| place.stream).max();
-        found.retain(|(place, _)| Some(place.stream) == stream);
-        found.sort_by_key(|(place, _)| place.number);
-        let messages = found.into_iter().map(|(place, bytes)| (place.number, bytes)).collect();
+        let mut found: Vec<(StreamPosition, Vec<u8>)> =
+            (0..CAPACITY as u64).filter_map(|slot| files.read(slot)).collect();
+        let stream = found.iter().map(|(position, _)| position.stream).max();
+        found.retain(|(position, _)| Some(position.stream) == stream);
+        found.sort_by_key(|(position, _)| position.number);
+        let messages = found.into_iter().map(|(position, bytes)| (position.number, bytes)).collect();
         Self { messages, lost: files.lost(), files: Some(files) }
     }
 
     /// A log with these messages, in memory alone.
     #[cfg(test)]
     pub(super) fn of(messages: &[Vec<u8>]) -> Self {
-        let place = |bytes: &Vec<u8>| Some((place_of(bytes).ok()?.number, bytes.clone()));
-        Self { messages: messages.iter().filter_map(place).collect(), ..Self::default() }
+        let position = |bytes: &Vec<u8>| Some((position_of(bytes).ok()?.number, bytes.clone()));
+        Self { messages: messages.iter().filter_map(position).collect(), ..Self::default() }
     }
 
-    /// The place of the last message.
-    pub(crate) fn last(&self) -> Option<Place> {
-        self.messages.back().and_then(|(_, bytes)| place_of(bytes).ok())
+    /// The position of the last message.
+    pub(crate) fn last(&self) -> Option<StreamPosition> {
+        self.messages.back().and_then(|(_, bytes)| position_of(bytes).ok())
     }
 
     /// Number of the first message.
@@ -145,12 +146,12 @@ impl Files {
     }
 
     /// The message in a file; nothing if it is not whole.
-    fn read(&self, slot: u64) -> Option<(Place, Vec<u8>)> {
+    fn read(&self, slot: u64) -> Option<(StreamPosition, Vec<u8>)> {
         let bytes = std::fs::read(self.path(slot)).ok()?;
         let (length, message) = bytes.split_first_chunk::<LENGTH>()?;
         let whole = u64::from_le_bytes(*length) == message.len() as u64;
-        let place = place_of(message).ok().filter(|_| whole)?;
-        Some((place, message.to_vec()))
+        let position = position_of(message).ok().filter(|_| whole)?;
+        Some((position, message.to_vec()))
     }
 
     fn write(&mut self, number: u64, bytes: &[u8]) -> io::Result<()> {
@@ -183,8 +184,8 @@ mod tests {
     use conicflow_messages::{Header, Object};
 
     fn message(number: u64) -> Vec<u8> {
-        let place = Place { stream: 7, number, oldest: 0 };
-        encode_message(place, &ItemType::of::<Object>(), &Header::default(), &[], Compression::None).unwrap()
+        let position = StreamPosition { stream: 7, number, oldest: 0 };
+        encode_message(position, &ItemType::of::<Object>(), &Header::default(), &[], Compression::None).unwrap()
     }
 
     #[test]
@@ -197,7 +198,10 @@ mod tests {
         assert_eq!([(); 3].map(|()| log.forget_first().unwrap()), [60, 61, 62]);
         drop(log);
         let mut log = open();
-        assert_eq!((log.last().map(|place| (place.stream, place.number)), log.oldest()), (Some((7, 69)), Some(63)));
+        assert_eq!(
+            (log.last().map(|position| (position.stream, position.number)), log.oldest()),
+            (Some((7, 69)), Some(63))
+        );
         assert!(log.since(63).eq((63..70).map(message).collect::<Vec<_>>().iter()));
         log.remove_files();
         assert_eq!(folder.path().read_dir().unwrap().count(), 0);
@@ -233,7 +237,7 @@ mod tests {
         let whole = std::fs::read(&path).unwrap();
         for torn in [&whole[..whole.len() - 1], &[[0; LENGTH].as_slice(), &whole[LENGTH..]].concat(), b"short"] {
             std::fs::write(&path, torn).unwrap();
-            assert_eq!(open().last().map(|place| place.number), Some(1));
+            assert_eq!(open().last().map(|position| position.number), Some(1));
         }
     }
 }

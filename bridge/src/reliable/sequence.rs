@@ -5,13 +5,13 @@
 //! messages up, to end, to begin another stream) is believed when it comes once more, and nothing has contradicted it by then.
 
 use super::send_log::CAPACITY;
-use crate::wire::Place;
+use crate::wire::StreamPosition;
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 /// Streams are numbered by the sender's clock, which may be set back: a stream that seems to be an earlier one is followed
 /// when nothing has come of the current one for so long.
-const SILENCE: Duration = Duration::from_secs(3);
+const STREAM_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// A sender keeps so many messages, and sends nothing older again: what is farther behind shows that a message was taken before
 /// it whose number the sender has not reached.
@@ -37,7 +37,7 @@ pub(crate) enum Verdict {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Claim {
     /// Where it stands.
-    pub place: Place,
+    pub position: StreamPosition,
     /// The start of the bridge that sends it.
     pub session: u64,
     /// Its number among those of the stage that wrote it, where it can be read.
@@ -51,7 +51,7 @@ pub(crate) struct Claim {
 impl Claim {
     /// By which it is known again when it comes once more; what the sender keeps may be less then.
     fn identity(&self) -> Self {
-        Self { place: Place { oldest: 0, ..self.place }, follows: false, session: 0, ..*self }
+        Self { position: StreamPosition { oldest: 0, ..self.position }, follows: false, session: 0, ..*self }
     }
 }
 
@@ -101,7 +101,8 @@ impl Sequence {
     /// What tells two states apart, but for times, in a model.
     #[cfg(test)]
     pub(super) fn essence(&self) -> impl std::hash::Hash + PartialEq + std::fmt::Debug + use<> {
-        let doubts: Vec<_> = self.doubts.iter().map(|(claim, _)| (claim.place.stream, claim.place.number)).collect();
+        let doubts: Vec<_> =
+            self.doubts.iter().map(|(claim, _)| (claim.position.stream, claim.position.number)).collect();
         (self.expected(), self.session, self.left, self.lost, self.came.is_some(), doubts)
     }
 
@@ -111,16 +112,16 @@ impl Sequence {
     }
 
     /// Whether a message is one of the stream that is received.
-    pub(crate) fn is_of_stream(&self, place: Place) -> bool {
-        place.stream == self.stream
+    pub(crate) fn is_of_stream(&self, position: StreamPosition) -> bool {
+        position.stream == self.stream
     }
 
     /// Whether a message counts, by the verdict on it, although it may have come before: an end that is told again does, for who
     /// was started anew and has not heard it.
-    pub(crate) fn is_end_to_hear(&self, place: Place, verdict: Verdict) -> bool {
+    pub(crate) fn is_end_to_hear(&self, position: StreamPosition, verdict: Verdict) -> bool {
         match verdict {
             Verdict::Take => true,
-            Verdict::Old => self.is_of_stream(place),
+            Verdict::Old => self.is_of_stream(position),
             Verdict::Early => false,
         }
     }
@@ -142,24 +143,24 @@ impl Sequence {
 
     /// Whether a message is to be taken; it counts as received only by [`Sequence::taken`].
     pub(crate) fn judge(&mut self, claim: Claim, now: Instant) -> Verdict {
-        let place = claim.place;
-        if place.stream < self.stream && !is_silent(self.came, now) {
+        let position = claim.position;
+        if position.stream < self.stream && !is_silent(self.came, now) {
             return Verdict::Old;
         }
         let oldest = match (self.lossless, claim.may_be_repeated) {
-            (true, false) => place.oldest.min(place.number),
+            (true, false) => position.oldest.min(position.number),
             // It is told again also when it is not kept any more.
-            (true, true) => place.oldest,
-            (false, _) => place.number,
+            (true, true) => position.oldest,
+            (false, _) => position.number,
         };
         let is_doubtful = self.is_doubtful(&claim, oldest);
         if is_doubtful && !self.is_confirmed(&claim, now) {
             return Verdict::Early;
         }
         (self.came, self.session) = (Some(now), claim.session);
-        if place.stream != self.stream {
-            let before = self.left.filter(|(stream, _)| *stream == place.stream);
-            self.leap(place.stream, before.map_or(oldest, |(_, next)| oldest.max(next)));
+        if position.stream != self.stream {
+            let before = self.left.filter(|(stream, _)| *stream == position.stream);
+            self.leap(position.stream, before.map_or(oldest, |(_, next)| oldest.max(next)));
         }
         // Where the newest wins, one way may be much slower than another: there nothing new must have come as well.
         if self.is_far_behind(&claim) && (self.lossless || is_silent(self.new_came, now)) {
@@ -169,7 +170,7 @@ impl Sequence {
             self.misled = true;
             self.leap(self.stream, next);
         }
-        if place.number < self.next {
+        if position.number < self.next {
             return Verdict::Old;
         }
         self.new_came = Some(now);
@@ -178,11 +179,11 @@ impl Sequence {
             self.lost = self.lost.saturating_add(oldest - known);
             self.leap(self.stream, oldest);
         }
-        if place.number != self.next {
+        if position.number != self.next {
             return Verdict::Early;
         }
         if !is_doubtful {
-            self.refuted |= self.doubts.iter().any(|(doubt, _)| doubt.place.number >= self.next);
+            self.refuted |= self.doubts.iter().any(|(doubt, _)| doubt.position.number >= self.next);
             self.doubts.clear();
         }
         Verdict::Take
@@ -195,7 +196,7 @@ impl Sequence {
 
     /// Whether it comes after a message was taken whose number the sender had not reached.
     fn is_far_behind(&self, claim: &Claim) -> bool {
-        let is_far = self.next.saturating_sub(claim.place.number) > FARTHEST_BEHIND;
+        let is_far = self.next.saturating_sub(claim.position.number) > FARTHEST_BEHIND;
         is_far && !self.trusted && !claim.may_be_repeated
     }
 
@@ -204,11 +205,11 @@ impl Sequence {
         if self.trusted || !self.lossless || self.came.is_none() {
             return false;
         }
-        let is_next = claim.place.number == self.next;
-        match claim.place.stream == self.stream {
+        let is_next = claim.position.number == self.next;
+        match claim.position.stream == self.stream {
             // A start of a bridge has one stream.
             false => claim.session == self.session,
-            true if claim.place.number < self.next => claim.may_be_repeated || self.is_far_behind(claim),
+            true if claim.position.number < self.next => claim.may_be_repeated || self.is_far_behind(claim),
             true => oldest > self.next || is_next && (claim.may_be_repeated || !claim.follows),
         }
     }
@@ -244,7 +245,7 @@ impl Sequence {
 }
 
 fn is_silent(since: Option<Instant>, now: Instant) -> bool {
-    since.is_none_or(|since| now.saturating_duration_since(since) > SILENCE)
+    since.is_none_or(|since| now.saturating_duration_since(since) > STREAM_TIMEOUT)
 }
 
 #[cfg(test)]
@@ -252,21 +253,27 @@ mod tests {
     use super::*;
 
     fn take(sequence: &mut Sequence, stream: u64, number: u64, oldest: u64) -> Verdict {
-        take_at(sequence, Place { stream, number, oldest }, Instant::now())
+        take_at(sequence, StreamPosition { stream, number, oldest }, Instant::now())
     }
 
-    /// What a message at this place says that a true sender has sent, whose bridge began with that stream.
-    fn claim(place: Place) -> Claim {
-        Claim { place, session: place.stream, number: Some(place.number), follows: true, may_be_repeated: false }
+    /// What a message at this position says that a true sender has sent, whose bridge began with that stream.
+    fn claim(position: StreamPosition) -> Claim {
+        Claim {
+            position,
+            session: position.stream,
+            number: Some(position.number),
+            follows: true,
+            may_be_repeated: false,
+        }
     }
 
     /// The same of an end.
-    fn end(place: Place) -> Claim {
-        Claim { may_be_repeated: true, ..claim(place) }
+    fn end(position: StreamPosition) -> Claim {
+        Claim { may_be_repeated: true, ..claim(position) }
     }
 
-    fn take_at(sequence: &mut Sequence, place: Place, now: Instant) -> Verdict {
-        take_claim(sequence, claim(place), now)
+    fn take_at(sequence: &mut Sequence, position: StreamPosition, now: Instant) -> Verdict {
+        take_claim(sequence, claim(position), now)
     }
 
     fn take_claim(sequence: &mut Sequence, claim: Claim, now: Instant) -> Verdict {
@@ -291,9 +298,9 @@ mod tests {
         take(&mut sequence, 5, 0, 0);
         take(&mut sequence, 5, 1, 0);
         let mut told = |stream: u64, number: u64| {
-            let place = Place { stream, number, oldest: 0 };
-            let verdict = sequence.judge(end(place), Instant::now());
-            (sequence.is_of_stream(place), sequence.is_end_to_hear(place, verdict), verdict)
+            let position = StreamPosition { stream, number, oldest: 0 };
+            let verdict = sequence.judge(end(position), Instant::now());
+            (sequence.is_of_stream(position), sequence.is_end_to_hear(position, verdict), verdict)
         };
         assert_eq!(told(5, 1), (true, true, Verdict::Old));
         assert_eq!(told(5, 2), (true, true, Verdict::Take));
@@ -313,7 +320,9 @@ mod tests {
     #[test]
     fn an_end_that_is_told_again_counts_nothing_as_lost() {
         let now = Instant::now();
-        for first in [Place { stream: 1, number: 2, oldest: 9 }, Place { stream: 1, number: 8, oldest: 9 }] {
+        for first in
+            [StreamPosition { stream: 1, number: 2, oldest: 9 }, StreamPosition { stream: 1, number: 8, oldest: 9 }]
+        {
             let mut sequence = Sequence::new(true, true);
             assert_eq!(sequence.judge(end(first), now), Verdict::Old, "what comes before it is finished");
             assert_eq!(take(&mut sequence, 1, 9, 9), Verdict::Take);
@@ -346,24 +355,24 @@ mod tests {
     /// One of whose sender nothing is certain, which has taken the numbers 0 to 99 of stream 7.
     fn at_work(now: Instant) -> Sequence {
         let mut sequence = Sequence::new(true, false);
-        let place = |number| Place { stream: 7, number, oldest: number };
-        (0..100).for_each(|number| assert_eq!(take_at(&mut sequence, place(number), now), Verdict::Take));
+        let position = |number| StreamPosition { stream: 7, number, oldest: number };
+        (0..100).for_each(|number| assert_eq!(take_at(&mut sequence, position(number), now), Verdict::Take));
         sequence
     }
 
     /// What nobody has sent who has sent 0 to 99: numbers that were not reached or are long past, another stream, an end, what
     /// cannot be read, and a message that does not follow the last of its writer.
     fn forged() -> Vec<Claim> {
-        let place = |stream, number, oldest| Place { stream, number, oldest };
-        let far = [100_000, 1 << 63, u64::MAX].map(|number| claim(place(7, number, number)));
-        let next = claim(place(7, 100, 100));
+        let position = |stream, number, oldest| StreamPosition { stream, number, oldest };
+        let far = [100_000, 1 << 63, u64::MAX].map(|number| claim(position(7, number, number)));
+        let next = claim(position(7, 100, 100));
         let others = [
-            claim(place(7, 130, 130)),
-            claim(place(7, 0, 0)),
-            Claim { session: 7, ..claim(place(8, 0, 0)) },
-            Claim { session: 7, ..claim(place(u64::MAX, u64::MAX, u64::MAX)) },
-            end(place(7, 100, 100)),
-            end(place(7, 3, 3)),
+            claim(position(7, 130, 130)),
+            claim(position(7, 0, 0)),
+            Claim { session: 7, ..claim(position(8, 0, 0)) },
+            Claim { session: 7, ..claim(position(u64::MAX, u64::MAX, u64::MAX)) },
+            end(position(7, 100, 100)),
+            end(position(7, 3, 3)),
             Claim { number: None, follows: false, may_be_repeated: true, ..next },
             Claim { number: Some(1 << 40), follows: false, ..next },
         ];
@@ -376,16 +385,16 @@ mod tests {
         for forged in forged() {
             let mut sequence = at_work(start);
             let verdict = sequence.judge(forged, start);
-            assert!(!sequence.is_end_to_hear(forged.place, verdict) && verdict != Verdict::Take, "{forged:?}");
+            assert!(!sequence.is_end_to_hear(forged.position, verdict) && verdict != Verdict::Take, "{forged:?}");
             assert_eq!(sequence.expected(), (7, 100), "{forged:?}");
-            let true_ones = [100, 101].map(|number| claim(Place { stream: 7, number, oldest: 98 }));
+            let true_ones = [100, 101].map(|number| claim(StreamPosition { stream: 7, number, oldest: 98 }));
             assert_eq!(
                 true_ones.map(|claim| take_claim(&mut sequence, claim, start)),
                 [Verdict::Take; 2],
                 "{forged:?}"
             );
             assert_eq!((sequence.expected(), sequence.lost()), ((7, 102), 0), "{forged:?}");
-            assert_eq!(sequence.has_refuted(), forged.place.number >= 100, "{forged:?}");
+            assert_eq!(sequence.has_refuted(), forged.position.number >= 100, "{forged:?}");
             assert!(!sequence.has_refuted() && !sequence.was_misled(), "it is told once");
         }
     }
@@ -404,8 +413,8 @@ mod tests {
             for _ in 0..40 {
                 now += Duration::from_millis(250);
                 for number in first..first + FARTHEST_BEHIND {
-                    let place = Place { stream: 7, number, oldest: first };
-                    if take_at(&mut sequence, place, now) == Verdict::Take {
+                    let position = StreamPosition { stream: 7, number, oldest: first };
+                    if take_at(&mut sequence, position, now) == Verdict::Take {
                         taken.push(number);
                     }
                 }
@@ -423,28 +432,31 @@ mod tests {
     #[test]
     fn what_a_sender_seldom_does_is_believed_when_it_comes_again() {
         let start = Instant::now();
-        let place = |stream, number, oldest| Place { stream, number, oldest };
+        let position = |stream, number, oldest| StreamPosition { stream, number, oldest };
         for (seldom, next, lost) in [
-            (claim(place(7, 120, 120)), (7, 121), 20),
-            (claim(place(7, 121, 120)), (7, 120), 20),
-            (end(place(7, 100, 100)), (7, 101), 0),
-            (Claim { number: Some(102), follows: false, ..claim(place(7, 100, 100)) }, (7, 101), 0),
-            (Claim { number: None, ..end(place(7, 100, 100)) }, (7, 101), 0),
+            (claim(position(7, 120, 120)), (7, 121), 20),
+            (claim(position(7, 121, 120)), (7, 120), 20),
+            (end(position(7, 100, 100)), (7, 101), 0),
+            (Claim { number: Some(102), follows: false, ..claim(position(7, 100, 100)) }, (7, 101), 0),
+            (Claim { number: None, ..end(position(7, 100, 100)) }, (7, 101), 0),
         ] {
             let mut sequence = at_work(start);
             let verdict = take_claim(&mut sequence, seldom, start);
             assert_eq!((verdict, sequence.expected()), (Verdict::Early, (7, 100)), "{seldom:?}");
             assert_eq!(take_claim(&mut sequence, seldom, start + CONFIRMED_AFTER), Verdict::Early, "{seldom:?}");
             // By then the sender may keep less than before.
-            let again = Claim { place: Place { oldest: seldom.place.oldest.max(100), ..seldom.place }, ..seldom };
+            let again = Claim {
+                position: StreamPosition { oldest: seldom.position.oldest.max(100), ..seldom.position },
+                ..seldom
+            };
             take_claim(&mut sequence, again, start + LATER);
             assert_eq!((sequence.expected(), sequence.lost()), (next, lost), "{seldom:?}");
-            let follows = claim(place(7, next.1, next.1.min(120)));
+            let follows = claim(position(7, next.1, next.1.min(120)));
             assert_eq!(take_claim(&mut sequence, follows, start + LATER), Verdict::Take, "{seldom:?}");
             assert!(!sequence.has_refuted() && !sequence.was_misled(), "{seldom:?}");
         }
         let mut sequence = at_work(start);
-        let anew = claim(place(8, 0, 0));
+        let anew = claim(position(8, 0, 0));
         assert_eq!(take_claim(&mut sequence, anew, start), Verdict::Take, "its bridge was started anew");
     }
 
@@ -452,15 +464,17 @@ mod tests {
     #[test]
     fn what_was_taken_before_a_leap_is_not_taken_again_when_the_sender_goes_on_as_before() {
         let start = Instant::now();
-        for forged in [Place { stream: 8, number: 0, oldest: 0 }, Place { stream: 7, number: 900, oldest: 900 }] {
+        for forged in
+            [StreamPosition { stream: 8, number: 0, oldest: 0 }, StreamPosition { stream: 7, number: 900, oldest: 900 }]
+        {
             let mut sequence = at_work(start);
             let forged = Claim { session: 7, ..claim(forged) };
             let told = [Duration::ZERO, LATER].map(|later| take_claim(&mut sequence, forged, start + later));
             assert_eq!(told, [Verdict::Early, Verdict::Take], "{forged:?}");
             // The sender keeps more than it will be asked for, and is believed when it has said so twice.
             let mut taken = Vec::new();
-            for (number, later) in [(99, SILENCE), (99, SILENCE + LATER), (100, SILENCE + LATER)] {
-                let back = claim(Place { stream: 7, number, oldest: 95 });
+            for (number, later) in [(99, STREAM_TIMEOUT), (99, STREAM_TIMEOUT + LATER), (100, STREAM_TIMEOUT + LATER)] {
+                let back = claim(StreamPosition { stream: 7, number, oldest: 95 });
                 if take_claim(&mut sequence, back, start + LATER + LATER + later) == Verdict::Take {
                     taken.push(number);
                 }
@@ -473,7 +487,7 @@ mod tests {
     #[test]
     fn an_end_that_was_heard_before_a_leap_is_heard_when_it_comes_again() {
         let (start, mut sequence) = (Instant::now(), Sequence::new(true, false));
-        let old = Place { stream: 7, number: 3, oldest: 3 };
+        let old = StreamPosition { stream: 7, number: 3, oldest: 3 };
         take(&mut sequence, 7, 50, 50);
         let heard = [Duration::ZERO, LATER].map(|later| {
             let verdict = sequence.judge(end(old), start + later);
@@ -490,7 +504,7 @@ mod tests {
             take(&mut sequence, 7, number, number);
         }
         assert_eq!((sequence.doubts.len(), sequence.expected()), (MOST_DOUBTS, (7, 1)));
-        assert_eq!(take_at(&mut sequence, Place { stream: 7, number: 1, oldest: 0 }, start), Verdict::Take);
+        assert_eq!(take_at(&mut sequence, StreamPosition { stream: 7, number: 1, oldest: 0 }, start), Verdict::Take);
         assert!(sequence.doubts.is_empty() && sequence.has_refuted());
     }
 
@@ -499,12 +513,12 @@ mod tests {
         for forged in [1 << 63, 100_000] {
             let (mut sequence, start) = (Sequence::new(false, false), Instant::now());
             let mut take = |number: u64, oldest: u64, now: Instant| {
-                take_at(&mut sequence, Place { stream: 1, number, oldest }, now)
+                take_at(&mut sequence, StreamPosition { stream: 1, number, oldest }, now)
             };
             assert_eq!([0, 1, 2].map(|number| take(number, 0, start)), [Verdict::Take; 3]);
             assert_eq!(take(forged, forged, start), Verdict::Take);
-            assert_eq!(take(3, 3, start + SILENCE), Verdict::Old, "it may have come by a slow way");
-            let later = start + SILENCE + Duration::from_millis(1);
+            assert_eq!(take(3, 3, start + STREAM_TIMEOUT), Verdict::Old, "it may have come by a slow way");
+            let later = start + STREAM_TIMEOUT + Duration::from_millis(1);
             assert_eq!([3, 4].map(|number| take(number, 3, later)), [Verdict::Take; 2]);
             assert_eq!([sequence.was_misled(), sequence.was_misled()], [true, false], "it is told once");
             assert_eq!(sequence.expected(), (1, 5));
@@ -516,11 +530,11 @@ mod tests {
     fn what_somebody_repeats_of_a_trusted_sender_is_old_however_old_it_is() {
         for lossless in [true, false] {
             let (mut sequence, start) = (Sequence::new(lossless, true), Instant::now());
-            let place = |number| Place { stream: 1, number, oldest: number };
-            (0..300).for_each(|number| assert_eq!(take_at(&mut sequence, place(number), start), Verdict::Take));
-            for later in [Duration::ZERO, 2 * SILENCE] {
+            let position = |number| StreamPosition { stream: 1, number, oldest: number };
+            (0..300).for_each(|number| assert_eq!(take_at(&mut sequence, position(number), start), Verdict::Take));
+            for later in [Duration::ZERO, 2 * STREAM_TIMEOUT] {
                 for number in [299, 200, 0] {
-                    assert_eq!(take_at(&mut sequence, place(number), start + later), Verdict::Old, "{number}");
+                    assert_eq!(take_at(&mut sequence, position(number), start + later), Verdict::Old, "{number}");
                 }
             }
             assert_eq!((sequence.expected(), sequence.lost(), sequence.was_misled()), ((1, 300), 0, false));
@@ -532,8 +546,11 @@ mod tests {
         let (mut sequence, start) = (Sequence::new(false, false), Instant::now());
         for number in 0..300_u64 {
             let now = start + Duration::from_millis(33 * number);
-            assert_eq!(take_at(&mut sequence, Place { stream: 1, number, oldest: number }, now), Verdict::Take);
-            let late = Place { stream: 1, number: number.saturating_sub(100), oldest: 0 };
+            assert_eq!(
+                take_at(&mut sequence, StreamPosition { stream: 1, number, oldest: number }, now),
+                Verdict::Take
+            );
+            let late = StreamPosition { stream: 1, number: number.saturating_sub(100), oldest: 0 };
             assert_eq!(take_at(&mut sequence, late, now), Verdict::Old);
         }
         assert_eq!((sequence.was_misled(), sequence.lost()), (false, 0));
@@ -545,7 +562,7 @@ mod tests {
         take(&mut sequence, 1, FARTHEST_BEHIND, FARTHEST_BEHIND);
         assert_eq!(take(&mut sequence, 1, 1, 1), Verdict::Old);
         take(&mut sequence, 1, FARTHEST_BEHIND + 1, FARTHEST_BEHIND + 1);
-        let first = end(Place { stream: 1, number: 0, oldest: 0 });
+        let first = end(StreamPosition { stream: 1, number: 0, oldest: 0 });
         let told = [Duration::ZERO, LATER].map(|later| sequence.judge(first, Instant::now() + later));
         assert_eq!(told, [Verdict::Early, Verdict::Old], "an end is told until everybody knows it");
         assert_eq!((sequence.expected(), sequence.was_misled()), ((1, FARTHEST_BEHIND + 2), false));
@@ -554,11 +571,11 @@ mod tests {
     #[test]
     fn a_sender_whose_clock_was_set_back_is_followed_when_its_predecessor_is_silent() {
         let (mut sequence, start) = (Sequence::new(true, false), Instant::now());
-        let place = |stream, number| Place { stream, number, oldest: number };
-        assert_eq!(take_at(&mut sequence, place(5, 7), start), Verdict::Take);
-        assert_eq!(take_at(&mut sequence, place(4, 0), start + SILENCE), Verdict::Old);
-        let later = start + SILENCE + Duration::from_millis(1);
-        assert_eq!(take_at(&mut sequence, place(4, 0), later), Verdict::Take);
+        let position = |stream, number| StreamPosition { stream, number, oldest: number };
+        assert_eq!(take_at(&mut sequence, position(5, 7), start), Verdict::Take);
+        assert_eq!(take_at(&mut sequence, position(4, 0), start + STREAM_TIMEOUT), Verdict::Old);
+        let later = start + STREAM_TIMEOUT + Duration::from_millis(1);
+        assert_eq!(take_at(&mut sequence, position(4, 0), later), Verdict::Take);
         assert_eq!((sequence.expected(), sequence.lost()), ((4, 1), 0));
     }
 }

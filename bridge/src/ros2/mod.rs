@@ -10,13 +10,13 @@ use crate::channel::Channel;
 use crate::session::reaches_anybody;
 use crate::settings;
 use attachment::Attachment;
-use conicflow_dataflow::{Node, StageError, Variant, unix_ns};
+use conicflow_dataflow::{Node, StageError, Variant, lock, unix_ns};
 use conicflow_messages::{Object, Track};
 use conicflow_ros2::{Middleware, Participant, Published, Ros2Sink, Ros2Source, Way};
 use keys::{Keys, comes_below, key_of_caches};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
+use std::sync::{Arc, Mutex, OnceLock, Weak};
 use std::time::Duration;
 use zenoh::bytes::ZBytes;
 use zenoh::liveliness::LivelinessToken;
@@ -38,7 +38,7 @@ pub const NODES: &[Node] = &[
 /// A session that cannot be opened is tried again after this time.
 const OPEN_AGAIN: Duration = Duration::from_secs(1);
 /// How often is looked whether the router is still reached.
-const LOOK: Duration = Duration::from_millis(100);
+const ROUTER_CHECK_PERIOD: Duration = Duration::from_millis(100);
 /// How long an answer is waited for, of those who publish.
 const ANSWER: Duration = Duration::from_secs(1);
 /// Publishers of a topic whose numbers are compared; others are taken as they come.
@@ -115,7 +115,7 @@ impl Inbox {
     /// Messages that the same publisher has sent since the last that came. Those below the key of the topic are not numbered one
     /// by one: a publisher numbers what it sends to each who has a memory of their own for it, at keys that nobody else takes.
     fn missing_before(&self, Attachment { sequence, end, .. }: Attachment, is_numbered: bool) -> u64 {
-        let mut numbers = self.numbers.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut numbers = lock(&self.numbers);
         if numbers.len() >= MOST_COMPARED && !numbers.contains_key(&end) {
             return 0;
         }
@@ -202,7 +202,7 @@ impl Keeper {
                 continue;
             }
             drop(joined);
-            std::thread::sleep(LOOK);
+            std::thread::sleep(ROUTER_CHECK_PERIOD);
         }
     }
 
@@ -287,7 +287,7 @@ mod tests {
         for end in 0..=u8::MAX {
             inbox.missing_before(numbered(1, end), true);
         }
-        assert_eq!(inbox.numbers.lock().unwrap().len(), MOST_COMPARED);
+        assert_eq!(lock(&inbox.numbers).len(), MOST_COMPARED);
     }
 
     /// A middleware that has reached nobody yet, with one end.

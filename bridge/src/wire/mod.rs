@@ -1,7 +1,7 @@
 //! The bytes of a message between machines, and the border where bytes from another machine become a message.
 //!
 //! `CFLO`, the wire's version as a little-endian `u16`, the session as a little-endian `u64` (one number per start of the
-//! sending bridge), 32 bytes of a code ([`seal`]; zeros where there is no key), the place in the link's stream as three
+//! sending bridge), 32 bytes of a code ([`seal`]; zeros where there is no key), the position in the link's stream as three
 //! little-endian `u64`, then in bincode 2 (`config::standard()`): the names of the memory layouts, the header, and the body
 //! ([`codec`]): of objects and tracks a count and the items; of images and ellipses a byte for the compression (0 none, 1 LZ4,
 //! 2 Zstandard), and what it has made, without compression the pixels as little-endian `u16`, and a count and the items; of all
@@ -35,7 +35,7 @@ const PREFIX: usize = MAGIC.len() + size_of::<u16>();
 
 /// Where a message stands in the stream of its link.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Place {
+pub struct StreamPosition {
     /// One number per start of the sending bridge.
     pub stream: u64,
     /// Number of the message in that stream, from 0.
@@ -56,24 +56,24 @@ struct Opening<'a> {
 /// # Errors
 /// It is longer than [`MAX_MESSAGE`], or holds text that is none.
 pub fn encode_message(
-    place: Place,
+    position: StreamPosition,
     item: &ItemType,
     header: &Header,
     items: &[u8],
     how: Compression,
 ) -> Result<Vec<u8>, WireError> {
-    message_bytes(place, &item.layout(), header, |bytes| codec_of(item).encode(header, items, how, bytes))
+    message_bytes(position, &item.layout(), header, |bytes| codec_of(item).encode(header, items, how, bytes))
 }
 
 /// The bytes of a message, of which `body` appends those behind the header; of the end of a stream there are none.
 pub(crate) fn message_bytes(
-    place: Place,
+    position: StreamPosition,
     items_layout: &str,
     header: &Header,
     body: impl FnOnce(&mut Vec<u8>) -> Result<(), WireError>,
 ) -> Result<Vec<u8>, WireError> {
     let mut bytes = opening_bytes();
-    bytes.extend([place.stream, place.number, place.oldest].iter().flat_map(|number| number.to_le_bytes()));
+    bytes.extend([position.stream, position.number, position.oldest].iter().flat_map(|number| number.to_le_bytes()));
     encode(&Opening { layout: &layout(items_layout), header: *header }, &mut bytes)?;
     if !header.ends_stream() {
         body(&mut bytes)?;
@@ -85,20 +85,20 @@ pub(crate) fn message_bytes(
 ///
 /// # Errors
 /// What is wrong with the bytes.
-pub fn decode_message(bytes: &[u8], item: &ItemType) -> Result<(Place, Header, Vec<u8>), WireError> {
-    let (place, header, body) = open_message(bytes, &item.layout(), item.name())?;
+pub fn decode_message(bytes: &[u8], item: &ItemType) -> Result<(StreamPosition, Header, Vec<u8>), WireError> {
+    let (position, header, body) = open_message(bytes, &item.layout(), item.name())?;
     let mut codec = codec_of(item);
     body.map_or(Ok(()), |body| codec.decode(&header, body))?;
-    Ok((place, header, codec.items().to_vec()))
+    Ok((position, header, codec.items().to_vec()))
 }
 
-/// The place and the header of a message, checked, and the bytes behind them; the end of a stream has none.
+/// The position and the header of a message, checked, and the bytes behind them; the end of a stream has none.
 pub(crate) fn open_message<'a>(
     bytes: &'a [u8],
     items_layout: &str,
     kind: &str,
-) -> Result<(Place, Header, Option<&'a [u8]>), WireError> {
-    let (place, content) = split_place(content(bytes)?)?;
+) -> Result<(StreamPosition, Header, Option<&'a [u8]>), WireError> {
+    let (position, content) = split_position(content(bytes)?)?;
     let (opening, length) = decode_start::<Opening<'_>>(content)?;
     let ours = layout(items_layout);
     if opening.layout != ours {
@@ -107,9 +107,9 @@ pub(crate) fn open_message<'a>(
     let (header, body) = (opening.header, &content[length..]);
     header.check(kind)?;
     if !header.ends_stream() {
-        return Ok((place, header, Some(body)));
+        return Ok((position, header, Some(body)));
     }
-    if body.is_empty() { Ok((place, header, None)) } else { Err(trailing()) }
+    if body.is_empty() { Ok((position, header, None)) } else { Err(trailing()) }
 }
 
 /// The bytes of something small, with the same prefix as a message.
@@ -132,14 +132,14 @@ pub(crate) fn set_oldest(bytes: &mut [u8], oldest: u64) {
 }
 
 /// Where a message stands in its stream.
-pub(crate) fn place_of(bytes: &[u8]) -> Result<Place, WireError> {
-    split_place(content(bytes)?).map(|(place, _)| place)
+pub(crate) fn position_of(bytes: &[u8]) -> Result<StreamPosition, WireError> {
+    split_position(content(bytes)?).map(|(position, _)| position)
 }
 
-fn split_place(bytes: &[u8]) -> Result<(Place, &[u8]), WireError> {
-    let (numbers, rest) = bytes.split_at_checked(24).ok_or_else(|| WireError::Broken("no place".to_owned()))?;
+fn split_position(bytes: &[u8]) -> Result<(StreamPosition, &[u8]), WireError> {
+    let (numbers, rest) = bytes.split_at_checked(24).ok_or_else(|| WireError::Broken("no position".to_owned()))?;
     let number = |at: usize| numbers[at..at + 8].iter().rev().fold(0, |sum, &byte| sum << 8 | u64::from(byte));
-    Ok((Place { stream: number(0), number: number(8), oldest: number(16) }, rest))
+    Ok((StreamPosition { stream: number(0), number: number(8), oldest: number(16) }, rest))
 }
 
 /// The layouts of what every program knows.

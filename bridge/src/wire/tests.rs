@@ -2,8 +2,8 @@
 
 use super::codec::codec_of;
 use super::{
-    MAX_MESSAGE, Place, WIRE_VERSION, WireError, decode_message, encode_message, layouts, message_bytes, place_of,
-    set_oldest,
+    MAX_MESSAGE, StreamPosition, WIRE_VERSION, WireError, decode_message, encode_message, layouts, message_bytes,
+    position_of, set_oldest,
 };
 use bytemuck::cast_slice;
 use conicflow_dataflow::pipeline::Compression;
@@ -28,28 +28,28 @@ fn ellipse() -> Ellipse {
     ellipse
 }
 
-fn place() -> Place {
-    Place { stream: 7, number: 300, oldest: 299 }
+fn position() -> StreamPosition {
+    StreamPosition { stream: 7, number: 300, oldest: 299 }
 }
 
 fn encoded<T: Item>(header: &Header, items: &[T], how: Compression) -> Result<Vec<u8>, WireError> {
-    encode_message(place(), &ItemType::of::<T>(), header, cast_slice(items), how)
+    encode_message(position(), &ItemType::of::<T>(), header, cast_slice(items), how)
 }
 
 fn bytes_of<T: Item>(header: &Header, items: &[T], how: Compression) -> Vec<u8> {
     encoded(header, items, how).unwrap()
 }
 
-fn decoded<T: Item>(bytes: &[u8]) -> Result<(Place, Header, Vec<u8>), WireError> {
+fn decoded<T: Item>(bytes: &[u8]) -> Result<(StreamPosition, Header, Vec<u8>), WireError> {
     decode_message(bytes, &ItemType::of::<T>())
 }
 
 /// What is accepted is accepted again.
 fn decode_as_all(bytes: &[u8]) {
     for item in &BUILT_IN {
-        let Ok((place, header, items)) = decode_message(bytes, item) else { continue };
-        let again = encode_message(place, item, &header, &items, Compression::Lz4).unwrap();
-        assert_eq!(decode_message(&again, item), Ok((place, header, items)));
+        let Ok((position, header, items)) = decode_message(bytes, item) else { continue };
+        let again = encode_message(position, item, &header, &items, Compression::Lz4).unwrap();
+        assert_eq!(decode_message(&again, item), Ok((position, header, items)));
     }
 }
 
@@ -59,7 +59,7 @@ fn lists_come_back_bit_for_bit() {
     for (how, length) in HOW.into_iter().flat_map(|how| [(how, 0), (how, 1), (how, 500)]) {
         let sent = vec![ellipse(); length];
         let back = decoded::<Ellipse>(&bytes_of(&header, &sent, how));
-        assert_eq!(back, Ok((place(), header, cast_slice(&sent).to_vec())));
+        assert_eq!(back, Ok((position(), header, cast_slice(&sent).to_vec())));
     }
 }
 
@@ -68,16 +68,16 @@ fn a_message_that_is_sent_again_tells_which_is_the_oldest_by_then() {
     let header = header(64, 48);
     let mut bytes = bytes_of(&header, &[ellipse()], Compression::None);
     set_oldest(&mut bytes, 300);
-    let place = Place { oldest: 300, ..place() };
-    assert_eq!(place_of(&bytes), Ok(place));
-    assert_eq!(decoded::<Ellipse>(&bytes), Ok((place, header, cast_slice(&[ellipse()]).to_vec())));
+    let position = StreamPosition { oldest: 300, ..position() };
+    assert_eq!(position_of(&bytes), Ok(position));
+    assert_eq!(decoded::<Ellipse>(&bytes), Ok((position, header, cast_slice(&[ellipse()]).to_vec())));
 }
 
 #[test]
 fn the_end_of_a_stream_has_no_items_and_nothing_behind_it() {
     let end = Header { flags: END_OF_STREAM, ..header(0, 0) };
     let mut bytes = bytes_of::<Track>(&end, &[], Compression::None);
-    assert_eq!(decoded::<Track>(&bytes), Ok((place(), end, Vec::new())));
+    assert_eq!(decoded::<Track>(&bytes), Ok((position(), end, Vec::new())));
     bytes.push(0);
     assert!(matches!(decoded::<Track>(&bytes), Err(WireError::Broken(_))));
 }
@@ -115,11 +115,11 @@ fn messages_that_are_too_long_neither_leave_nor_come() {
             bytes.resize(length, 0);
             Ok(())
         };
-        message_bytes(place(), &ItemType::of::<Object>().layout(), &header(4, 3), body)
+        message_bytes(position(), &ItemType::of::<Object>().layout(), &header(4, 3), body)
     };
     assert!(of_length(MAX_MESSAGE + 1).is_err());
     let mut bytes = of_length(MAX_MESSAGE).unwrap();
-    assert_eq!(place_of(&bytes), Ok(place()));
+    assert_eq!(position_of(&bytes), Ok(position()));
     bytes.push(0);
     let error = decoded::<Object>(&bytes).unwrap_err();
     assert_eq!(error, WireError::TooLong { bytes: MAX_MESSAGE + 1 });
@@ -139,7 +139,7 @@ fn images_that_do_not_fill_their_size_are_refused() {
             // A sender that does not look sends it.
             let item = ItemType::of::<u16>();
             let body = |bytes: &mut Vec<u8>| codec_of(&item).encode(&header(4, 3), cast_slice(&pixels), how, bytes);
-            let sent = message_bytes(place(), &item.layout(), &other, body).unwrap();
+            let sent = message_bytes(position(), &item.layout(), &other, body).unwrap();
             assert!(decoded::<u16>(&sent).is_err(), "{how:?}");
         }
     }

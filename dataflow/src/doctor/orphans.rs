@@ -10,7 +10,7 @@ use std::path::Path;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-const LOOK: Duration = Duration::from_millis(100);
+const ORPHAN_CHECK_PERIOD: Duration = Duration::from_millis(100);
 
 /// The processes of this user and its folder that a launcher started which is not their parent any more. Those of a launcher
 /// that died just now are given the time to end by themselves.
@@ -18,7 +18,7 @@ pub(super) fn examine() -> Vec<Finding> {
     let deadline = Instant::now() + LAST_STAGES_GRACE;
     let mut found = orphans();
     while !found.is_empty() && Instant::now() < deadline {
-        sleep(LOOK);
+        sleep(ORPHAN_CHECK_PERIOD);
         found = orphans();
     }
     found

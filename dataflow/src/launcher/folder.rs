@@ -1,6 +1,6 @@
 //! Where a run keeps its files: one folder per user, in it one per pipeline, and beside them the files of shared memory.
 
-use crate::lock::{Locked, is_shared, lock_within};
+use crate::file_lock::{Locked, is_shared, lock_within};
 use crate::pause::{PAUSE_FILE, PauseFile};
 use crate::plan::{LAYOUT, Plan};
 use crate::ports::shared_memory::acknowledgements::ENDING as ACKNOWLEDGEMENTS;
@@ -27,7 +27,7 @@ const PLAN_BEFORE: &str = "plan.json.kept";
 pub(crate) const LAST_STAGES_GRACE: Duration = Duration::from_secs(5);
 
 /// Whoever only looks whether a run has the folder holds its lock for a moment; so long if held up in that moment.
-const LOOK_GRACE: Duration = Duration::from_secs(5);
+const CHECK_GRACE: Duration = Duration::from_secs(5);
 
 /// Why a run has no folder.
 #[derive(Debug, thiserror::Error)]
@@ -224,7 +224,7 @@ impl RunFolder {
         let (path, file) = self.open_lock("lock")?;
         let run = RunLock { file: Locked(file), plan: self.path.join(PLAN) };
         // Those who only look share it.
-        if !lock_within(LOOK_GRACE, &run.file.0, is_shared, &mut pause).map_err(FolderError::at(&path))? {
+        if !lock_within(CHECK_GRACE, &run.file.0, is_shared, &mut pause).map_err(FolderError::at(&path))? {
             return Err(FolderError::Running { name: name.to_owned() });
         }
         let (path, stages) = self.open_lock("stages.lock")?;
@@ -420,7 +420,7 @@ pub(crate) fn check_private(path: &Path) -> Result<(), FolderError> {
 pub(super) mod tests {
     use super::super::trial_run::plan_of;
     use super::*;
-    use crate::pause::PauseWish;
+    use crate::pause::PauseRequest;
 
     /// The run's folder at this place.
     pub fn folder_at(path: &Path) -> RunFolder {
@@ -515,7 +515,7 @@ pub(super) mod tests {
         let files = tempfile::tempdir().unwrap();
         let folder = folder_at(files.path());
         folder.begin(&plan_of(7)).unwrap();
-        folder.pause_file(7).unwrap().change(PauseWish::Pause).unwrap();
+        folder.pause_file(7).unwrap().change(PauseRequest::Pause).unwrap();
         assert_eq!([7, 8].map(|run| folder.pause_file(run).unwrap().is_paused()), [true, false]);
     }
 

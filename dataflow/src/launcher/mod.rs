@@ -45,11 +45,11 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 use swap::Swap;
 
-const LOOK: Duration = Duration::from_millis(100);
+const STAGE_CHECK_PERIOD: Duration = Duration::from_millis(100);
 /// How often it looks whether what the stages share is still there, and what of it was only begun.
-const LOOK_AFTER_SHARED: Duration = Duration::from_secs(1);
+const SHARED_MEMORY_CHECK_PERIOD: Duration = Duration::from_secs(1);
 /// How often the launcher looks while a stage is being replaced.
-const LOOK_AT_SWAP: Duration = Duration::from_millis(2);
+const SWAP_CHECK_PERIOD: Duration = Duration::from_millis(2);
 /// A run in which nothing moves for this long, while a stage waits for another, is told of.
 const STANDSTILL: Duration = Duration::from_secs(10);
 
@@ -200,7 +200,7 @@ impl<'a> Launcher<'a> {
 
     /// Sleeps until a signal comes or a look is due; each request to end presses harder than the one before.
     fn wait_for_events(&mut self) {
-        let look = if self.swap.is_some() { LOOK_AT_SWAP } else { LOOK };
+        let look = if self.swap.is_some() { SWAP_CHECK_PERIOD } else { STAGE_CHECK_PERIOD };
         match self.signals.recv_timeout(look) {
             Ok(SIGCHLD) | Err(RecvTimeoutError::Timeout) => {}
             Ok(SIGTSTP) => self.stop_until_told(),
@@ -283,7 +283,7 @@ impl<'a> Launcher<'a> {
             return;
         }
         let is_running = matches!(self.phase, Phase::Running);
-        let is_due = self.looked_after_shared.elapsed() > LOOK_AFTER_SHARED;
+        let is_due = self.looked_after_shared.elapsed() > SHARED_MEMORY_CHECK_PERIOD;
         if is_due {
             self.looked_after_shared = Instant::now();
             services.settle();

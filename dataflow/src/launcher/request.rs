@@ -10,7 +10,7 @@ use std::fs::{self, File};
 use std::thread::sleep;
 use std::time::Duration;
 
-const LOOK: Duration = Duration::from_millis(10);
+const ANSWER_CHECK_PERIOD: Duration = Duration::from_millis(10);
 
 /// Why a stage was not replaced; the one that was to be replaced is at work.
 #[derive(Debug, thiserror::Error)]
@@ -60,7 +60,7 @@ impl RunFolder {
                 Some(Answer { fault: None, .. }) => return Ok(()),
                 Some(Answer { fault: Some(fault), .. }) => return Err(SwapError::Refused(fault)),
                 None if over => return Err(SwapError::Over),
-                None => sleep(LOOK),
+                None => sleep(ANSWER_CHECK_PERIOD),
             }
         }
     }

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 /// A stage that has given no sign of life for this long is reported, where the file names no other time.
 const REPORT_AFTER: Duration = Duration::from_secs(10);
 /// A longer time between two looks is not held against the stage: the launcher, or the whole machine, stood still as well.
-const LONGEST_LOOK: Duration = Duration::from_secs(1);
+const LONGEST_CHECK_PERIOD: Duration = Duration::from_secs(1);
 
 /// What the launcher knows of one process's signs of life.
 #[derive(Debug)]
@@ -43,7 +43,7 @@ impl Watchdog {
         if process != self.process {
             *self = Self::new(process, now);
         }
-        let passed = now.duration_since(self.looked).min(LONGEST_LOOK);
+        let passed = now.duration_since(self.looked).min(LONGEST_CHECK_PERIOD);
         self.looked = now;
         if sign != self.sign {
             self.sign = sign;
@@ -61,7 +61,7 @@ impl Watchdog {
 mod tests {
     use super::*;
 
-    const LOOK: Duration = Duration::from_millis(100);
+    const CHECK_PERIOD: Duration = Duration::from_millis(100);
 
     /// The news of looks at these signs, a tenth of a second apart, with their number.
     fn news(signs: impl IntoIterator<Item = Option<u64>>) -> Vec<(usize, News)> {
@@ -69,7 +69,7 @@ mod tests {
         let mut watchdog = Watchdog::new(7, begin);
         let looks = signs.into_iter().enumerate();
         let seen = looks.filter_map(|(look, sign)| {
-            let news = watchdog.look(7, sign, Some(Duration::from_secs(2)), begin + LOOK * look as u32);
+            let news = watchdog.look(7, sign, Some(Duration::from_secs(2)), begin + CHECK_PERIOD * look as u32);
             Some((look, news?))
         });
         seen.collect()

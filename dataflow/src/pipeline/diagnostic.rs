@@ -17,12 +17,12 @@ pub struct SourceText {
 
 /// A piece of a [`SourceText`].
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Place {
+pub(crate) struct SourceSpan {
     pub(crate) source: Arc<SourceText>,
     pub(crate) span: Range<usize>,
 }
 
-impl Place {
+impl SourceSpan {
     /// Line and column, both from 1, and the line itself.
     fn position(&self) -> (usize, usize, &str) {
         let text = &self.source.text;
@@ -51,17 +51,17 @@ pub enum Severity {
 pub struct Diagnostic {
     /// How bad it is.
     pub severity: Severity,
-    pub(crate) place: Place,
+    pub(crate) place: SourceSpan,
     pub(crate) what: String,
     pub(crate) hint: String,
 }
 
 impl Diagnostic {
-    pub(crate) fn error(place: &Place, what: impl Into<String>, hint: impl Into<String>) -> Self {
+    pub(crate) fn error(place: &SourceSpan, what: impl Into<String>, hint: impl Into<String>) -> Self {
         Self { severity: Severity::Error, place: place.clone(), what: what.into(), hint: hint.into() }
     }
 
-    pub(crate) fn warning(place: &Place, what: impl Into<String>, hint: impl Into<String>) -> Self {
+    pub(crate) fn warning(place: &SourceSpan, what: impl Into<String>, hint: impl Into<String>) -> Self {
         Self { severity: Severity::Warning, ..Self::error(place, what, hint) }
     }
 

@@ -2,7 +2,7 @@
 //!
 //! The schema comes from the configuration's type, so that names, types, ranges, defaults and descriptions have one home.
 
-use super::diagnostic::{Diagnostic, Place, closest, suggestion};
+use super::diagnostic::{Diagnostic, SourceSpan, closest, suggestion};
 use super::value::{Content, Table, Value};
 use conicflow_messages::Hinted;
 use schemars::JsonSchema;
@@ -41,7 +41,7 @@ struct Checker<'a> {
 }
 
 impl<'a> Checker<'a> {
-    fn fault(&mut self, place: &Place, what: String, hint: String) {
+    fn fault(&mut self, place: &SourceSpan, what: String, hint: String) {
         self.faults.push(Diagnostic::error(place, what, hint));
     }
 
@@ -76,7 +76,7 @@ impl<'a> Checker<'a> {
         }
     }
 
-    fn missing(&mut self, place: &Place, table: &Table, schema: &'a Json, owner: &str) {
+    fn missing(&mut self, place: &SourceSpan, table: &Table, schema: &'a Json, owner: &str) {
         for name in schema.get("required").and_then(Json::as_array).into_iter().flatten().filter_map(Json::as_str) {
             if table.get(name).is_none() {
                 self.fault(place, format!("{owner} lacks `{name}`"), format!("add `{name} = ..`"));

@@ -1,6 +1,6 @@
 //! A pipeline as its file describes it: the stages, where they run, and what joins them.
 
-use super::diagnostic::{Place, SourceText};
+use super::diagnostic::{SourceSpan, SourceText};
 use super::machine::{BRIDGE, Compression, Machine};
 use super::metrics::Metrics;
 use crate::item_type::{BUILT_IN, ItemType};
@@ -58,12 +58,12 @@ pub struct StageSpec {
     pub env: Vec<(String, String)>,
     /// Parameters of its node.
     pub parameters: Json,
-    pub(super) place: Place,
-    pub(super) input_place: Option<Place>,
-    pub(super) output_place: Option<Place>,
-    pub(super) machine_place: Option<Place>,
+    pub(super) place: SourceSpan,
+    pub(super) input_place: Option<SourceSpan>,
+    pub(super) output_place: Option<SourceSpan>,
+    pub(super) machine_place: Option<SourceSpan>,
     /// Where the parameters stand.
-    pub(super) parameter_places: BTreeMap<String, Place>,
+    pub(super) parameter_places: BTreeMap<String, SourceSpan>,
 }
 
 /// What a stage runs.
@@ -89,7 +89,7 @@ pub struct Input {
     pub kind: Option<String>,
     /// How images and long lists for it are compressed on their way from another machine.
     pub compression: Option<Compression>,
-    pub(super) place: Place,
+    pub(super) place: SourceSpan,
 }
 
 /// What happens to a stage that died.

@@ -1,6 +1,6 @@
 //! A TOML document as a tree in which every key and value knows its place, and into which `--set` can write.
 
-use super::diagnostic::{Diagnostic, Place, SourceText};
+use super::diagnostic::{Diagnostic, SourceSpan, SourceText};
 use std::collections::BTreeSet;
 use std::ops::Range;
 use std::sync::Arc;
@@ -16,7 +16,7 @@ const KEYS_OF_ANY_STAGE: [&str; 6] = ["input", "inputs", "output", "machine", "r
 #[derive(Clone, Debug)]
 pub(crate) struct Value {
     pub(crate) content: Content,
-    pub(crate) place: Place,
+    pub(crate) place: SourceSpan,
 }
 
 /// What a value holds.
@@ -39,7 +39,7 @@ pub(crate) struct Table(pub(crate) Vec<Entry>);
 #[derive(Clone, Debug)]
 pub(crate) struct Entry {
     pub(crate) key: String,
-    pub(crate) key_place: Place,
+    pub(crate) key_place: SourceSpan,
     pub(crate) value: Value,
 }
 
@@ -54,7 +54,7 @@ impl Table {
         Some(self.0.remove(index))
     }
 
-    fn set(&mut self, path: &[&str], key_place: &Place, value: Value) {
+    fn set(&mut self, path: &[&str], key_place: &SourceSpan, value: Value) {
         let Some((first, rest)) = path.split_first() else { return };
         if rest.is_empty() {
             self.take(first);
@@ -105,7 +105,7 @@ impl Value {
     /// A value that stands in no file.
     pub(crate) fn without_place(value: &serde_json::Value) -> Self {
         use serde_json::Value as Json;
-        let nowhere = || Place { source: Arc::default(), span: 0..0 };
+        let nowhere = || SourceSpan { source: Arc::default(), span: 0..0 };
         let entry = |(key, value): (&String, &Json)| Entry {
             key: key.clone(),
             key_place: nowhere(),
@@ -150,7 +150,7 @@ impl Value {
         if matches!(self.content, Content::String(_) | Content::Array(_) | Content::Table(_)) {
             return None;
         }
-        let Place { source, span } = &self.place;
+        let SourceSpan { source, span } = &self.place;
         let (key, text) = (&source.text[..span.start], source.text[span.clone()].trim());
         Some(match source.name.as_str() {
             OVERRIDE => format!("text goes in quotes: {OVERRIDE} '{key}\"{text}\"'"),
@@ -203,7 +203,7 @@ fn syntax_fault(source: &Arc<SourceText>, span: Range<usize>, message: &str) -> 
         _ if message.contains("array") => "an array ends with `]`, and commas stand between what is in it",
         _ => "the file is not valid TOML here; strings stand in quotes, tables in [brackets]",
     };
-    Diagnostic::error(&Place { source: Arc::clone(source), span }, message, hint)
+    Diagnostic::error(&SourceSpan { source: Arc::clone(source), span }, message, hint)
 }
 
 fn convert_table(source: &Arc<SourceText>, table: &DeTable<'_>) -> Table {
@@ -211,7 +211,7 @@ fn convert_table(source: &Arc<SourceText>, table: &DeTable<'_>) -> Table {
         .iter()
         .map(|(key, value)| Entry {
             key: key.get_ref().to_string(),
-            key_place: Place { source: Arc::clone(source), span: key.span() },
+            key_place: SourceSpan { source: Arc::clone(source), span: key.span() },
             value: convert(source, value),
         })
         .collect();
@@ -231,14 +231,14 @@ fn convert(source: &Arc<SourceText>, value: &Spanned<DeValue<'_>>) -> Value {
         DeValue::Array(values) => Content::Array(values.iter().map(|value| convert(source, value)).collect()),
         DeValue::Table(table) => Content::Table(convert_table(source, table)),
     };
-    Value { content, place: Place { source: Arc::clone(source), span: value.span() } }
+    Value { content, place: SourceSpan { source: Arc::clone(source), span: value.span() } }
 }
 
 /// Writes `STAGE.KEY=VALUE` into a document. A value that is not TOML is taken as a string, so that quotes need not be
 /// quoted for a shell.
 pub(crate) fn apply_override(document: &mut Table, text: &str, faults: &mut Vec<Diagnostic>) {
     let source = Arc::new(SourceText { name: OVERRIDE.to_owned(), text: text.to_owned() });
-    let whole = Place { source: Arc::clone(&source), span: 0..text.len() };
+    let whole = SourceSpan { source: Arc::clone(&source), span: 0..text.len() };
     let path_and_value = text.split_once('=').map(|(path, value)| (path.split('.').map(str::trim).collect(), value));
     let Some((path, value)): Option<(Vec<_>, _)> = path_and_value.filter(|(path, _): &(Vec<_>, _)| path.len() >= 2)
     else {
@@ -259,7 +259,7 @@ pub(crate) fn apply_override(document: &mut Table, text: &str, faults: &mut Vec<
     }
     let offset = text.len() - value.len();
     let content = override_value(&source, value);
-    let place = Place { source, span: offset..text.len() };
+    let place = SourceSpan { source, span: offset..text.len() };
     if let ([_, "node"], Content::String(node)) = (path.as_slice(), &content) {
         document.forget_other_node(stage, node);
     }

@@ -1,13 +1,14 @@
 //! The twin of shared memory inside one process: the same queues and the same waiting, for tests.
 
 use crate::item_type::ItemType;
+use crate::mutex::lock;
 use crate::ports::{ConnectedReader, Delivery, PortError, Reader, Received, Topic, Transport, Writer};
 use crate::stage::Stop;
 use bytemuck::{cast_slice, cast_slice_mut};
 use conicflow_messages::{Header, Text};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
 /// All topics of one pipeline, inside this process.
@@ -34,10 +35,6 @@ impl InMemory {
     fn channel(&self, name: &str) -> Arc<Channel> {
         Arc::clone(lock(&self.topics).entry(name.to_owned()).or_default())
     }
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[derive(Default)]

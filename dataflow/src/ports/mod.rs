@@ -277,6 +277,16 @@ pub trait Received {
     }
 }
 
+/// What looking for a message brought.
+pub enum Polled<M> {
+    /// The next message.
+    Message(M),
+    /// None yet.
+    Pending,
+    /// None, and none will come.
+    Over,
+}
+
 /// Takes messages out of a topic.
 pub trait Reader {
     /// A message in the writer's memory.

@@ -10,7 +10,7 @@ use crate::pause::Pause;
 use crate::ports::in_memory::{InMemory, MemoryReader};
 use crate::ports::{Delivery, PortError, Reader, Received, Topic, TopicReader, Transport, Wiring, Writer};
 use crate::side_inputs::SideInputs;
-use crate::stage::{Context, Memory, Output, Place, Source, Stage, StageError};
+use crate::stage::{Context, Memory, Output, Source, Stage, StageError, UntypedOutput};
 use crate::status::StatusFile;
 use bytemuck::{cast_slice, cast_slice_mut};
 use conicflow_messages::{END_OF_STREAM, Header, Hop, Item, Message, Nothing, Text};
@@ -35,8 +35,8 @@ pub fn step<S: Stage>(
 ) -> Result<Owned<S::Output>, StageError> {
     check(header, items)?;
     let (mut image, mut list, mut counts) = (Loan(Vec::new()), Vec::new(), BTreeMap::new());
-    let place = Place { header: *header, memory: &mut image, counts: &mut counts };
-    let mut output = Output::new(place, &mut list);
+    let output = UntypedOutput { header: *header, memory: &mut image, counts: &mut counts };
+    let mut output = Output::new(output, &mut list);
     stage.step(&Message { header, items }, side_inputs, &mut output)?;
     let (made, is_image) = (of_same_frame(output.header, header), output.is_image());
     let items = if is_image { image.0 } else { list };

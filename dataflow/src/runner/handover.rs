@@ -19,9 +19,9 @@ use std::time::Duration;
 /// Environment variable: this process is to replace another of the same stage.
 pub(crate) const SUCCESSOR: &str = "CONICFLOW_SUCCESSOR";
 /// A successor waits so long for the first message of writers whose loss of one would be no fault.
-const PATIENCE_WITH_WRITERS: Duration = Duration::from_secs(1);
+const FIRST_MESSAGE_TIMEOUT: Duration = Duration::from_secs(1);
 /// How often one who waits looks whether it is still to wait.
-const LOOK: Duration = Duration::from_millis(20);
+const WAIT_CHECK_PERIOD: Duration = Duration::from_millis(20);
 
 /// A place in the streams that a stage reads.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -94,8 +94,8 @@ impl Successor {
             return Ok(None);
         }
         let launcher = UnixStream::from(io::stdin().as_fd().try_clone_to_owned()?);
-        launcher.set_read_timeout(Some(LOOK))?;
-        Ok(Some(Self { handover: handover.clone(), launcher, patience: PATIENCE_WITH_WRITERS }))
+        launcher.set_read_timeout(Some(WAIT_CHECK_PERIOD))?;
+        Ok(Some(Self { handover: handover.clone(), launcher, patience: FIRST_MESSAGE_TIMEOUT }))
     }
 
     /// Says that it is ready, and receives everything from `first` on. A launcher that wants it no more does not listen; who
@@ -139,7 +139,7 @@ pub(super) mod tests {
     /// A successor that waits for ever for the first message of each writer, and the end of its launcher.
     pub(in super::super) fn successor(folder: &Path, stage: &str) -> (Successor, UnixStream) {
         let (launcher, end) = UnixStream::pair().unwrap();
-        end.set_read_timeout(Some(LOOK)).unwrap();
+        end.set_read_timeout(Some(WAIT_CHECK_PERIOD)).unwrap();
         let (handover, patience) = (Handover::of(folder, stage), Duration::from_secs(3600));
         (Successor { handover, launcher: end, patience }, launcher)
     }

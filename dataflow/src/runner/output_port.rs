@@ -6,7 +6,7 @@ use crate::item_type::ItemType;
 use crate::pipeline::BRIDGE;
 use crate::ports::patience::Patience;
 use crate::ports::{ConnectedReader, Delivery, PortError, Topic, TopicReader, Writer};
-use crate::stage::{Memory, Place, StageError, Stop};
+use crate::stage::{Memory, StageError, Stop, UntypedOutput};
 use crate::status::Status;
 use conicflow_messages::{END_OF_STREAM, Header, Hop, Text};
 use std::collections::{BTreeMap, BTreeSet};
@@ -16,10 +16,10 @@ use std::time::{Duration, Instant};
 /// How long the first message waits for readers that want only the newest.
 const PATIENCE_WITH_LIVE_READERS: Duration = Duration::from_secs(5);
 /// How often a writer looks whether readers have come or gone.
-const LOOK: Duration = Duration::from_millis(10);
-/// How often the end is told again to those whose full queue may not have taken it, and whoever waits for a reader looks
+const READER_CHECK_PERIOD: Duration = Duration::from_millis(10);
+/// How often the end is announced again to those whose full queue may not have taken it, and whoever waits for a reader looks
 /// whether that was killed or started anew.
-const TELL_END: Duration = Duration::from_millis(100);
+const ANNOUNCEMENT_PERIOD: Duration = Duration::from_millis(100);
 
 /// Writes the messages of one stage.
 pub struct OutputPort<W: Writer> {
@@ -69,9 +69,9 @@ impl<W: Writer> OutputPort<W> {
         self.number = number;
     }
 
-    /// A place to write a message with this header.
-    pub(crate) fn place(&mut self, header: Header) -> Place<'_> {
-        Place { header, memory: &mut self.port, counts: &mut self.counts }
+    /// Where a message with this header is written.
+    pub(crate) fn untyped_output(&mut self, header: Header) -> UntypedOutput<'_> {
+        UntypedOutput { header, memory: &mut self.port, counts: &mut self.counts }
     }
 
     /// Sends what was written: the bytes of a list after they were copied into shared memory; `None`: an image, where it is.
@@ -164,7 +164,7 @@ impl<W: Writer> OutputPort<W> {
             if patience.is_over((writer.connected(), unfinished), Instant::now()) {
                 break;
             }
-            writer.wait(TELL_END);
+            writer.wait(ANNOUNCEMENT_PERIOD);
         }
     }
 
@@ -195,48 +195,54 @@ impl<W: Writer> OutputPort<W> {
     fn end_each(&mut self, ends: &[Header]) -> Result<(), PortError> {
         // Ends take the place of messages that are kept.
         self.await_finish();
-        let (mut telling, mut looked) = (Telling::until(Instant::now() + PATIENCE_WITH_LIVE_READERS), Instant::now());
-        while !self.stop.forced() && !self.tell(ends, &mut telling, Instant::now())? {
+        let (mut announcement, mut looked) =
+            (EndAnnouncement::until(Instant::now() + PATIENCE_WITH_LIVE_READERS), Instant::now());
+        while !self.stop.forced() && !self.announce_end(ends, &mut announcement, Instant::now())? {
             match &mut self.port {
                 // One that was killed, and does not come again, is there until somebody clears it away.
-                Some((writer, _)) if looked.elapsed() > TELL_END => {
+                Some((writer, _)) if looked.elapsed() > ANNOUNCEMENT_PERIOD => {
                     looked = Instant::now();
-                    writer.wait(LOOK);
+                    writer.wait(READER_CHECK_PERIOD);
                 }
-                _ => std::thread::sleep(LOOK),
+                _ => std::thread::sleep(READER_CHECK_PERIOD),
             }
         }
         Ok(())
     }
 
-    /// Tells the ends to readers that came since the last look; whether all that were to know of them do, and are gone `now`.
-    pub(super) fn tell(&mut self, ends: &[Header], telling: &mut Telling, now: Instant) -> Result<bool, PortError> {
+    /// Announces the ends to readers that came since the last look; whether all that were to know of them do, and are gone `now`.
+    pub(super) fn announce_end(
+        &mut self,
+        ends: &[Header],
+        announcement: &mut EndAnnouncement,
+        now: Instant,
+    ) -> Result<bool, PortError> {
         let Some((writer, topic)) = &mut self.port else { return Ok(true) };
         let connected = writer.connected();
-        // A stage that was started anew between two looks has not been told, whatever its name.
-        let is_new = connected.iter().any(|reader| !telling.before.contains(reader));
+        // A stage that was started anew between two looks does not know, whatever its name.
+        let is_new = connected.iter().any(|reader| !announcement.before.contains(reader));
         // A queue overflows only where no reader of the topic is lossless. Where one is, the others may miss the end.
         let may_have_missed = |reader: &ConnectedReader| topic.delivery_to(&reader.stage) == Delivery::Latest;
         let is_due = topic.is_lossless()
             && connected.iter().any(may_have_missed)
-            && telling.last.is_some_and(|last| now.duration_since(last) > TELL_END);
+            && announcement.last.is_some_and(|last| now.duration_since(last) > ANNOUNCEMENT_PERIOD);
         if is_new || is_due {
-            telling.last = Some(now);
+            announcement.last = Some(now);
             ends.iter().try_for_each(|end| writer.send(end).map(drop))?;
         }
-        telling.told.extend(connected.iter().map(|reader| reader.stage.clone()));
+        announcement.reached.extend(connected.iter().map(|reader| reader.stage.clone()));
         // One that was told and is not over was killed, and will come again; where nothing is known of it, it has most likely
         // ended. The bridge is over when all its topics are, but leaves each when it has passed on the end. One that was killed
         // needs nobody to tell it again.
         let ends_alone = |stage: &str| stage == BRIDGE || self.peers.life(stage).is_none();
-        let is_told = |reader: &TopicReader| ends_alone(&reader.stage) && telling.told.contains(&reader.stage);
+        let is_told = |reader: &TopicReader| ends_alone(&reader.stage) && announcement.reached.contains(&reader.stage);
         let all_told = self.absent_readers(false).all(is_told);
         let is_waited_for = self.behind(|_| 1).next().is_some();
-        if connected.is_empty() && !is_waited_for && (all_told || now > telling.deadline) {
+        if connected.is_empty() && !is_waited_for && (all_told || now > announcement.deadline) {
             return Ok(true);
         }
         connected.iter().for_each(|reader| self.stop.wait_for(&reader.stage));
-        telling.before = connected;
+        announcement.before = connected;
         Ok(false)
     }
 
@@ -257,7 +263,7 @@ impl<W: Writer> OutputPort<W> {
                 tracing::warn!("waiting for `{}`, which must not miss a message", absent.stage);
                 said = true;
             }
-            std::thread::sleep(LOOK);
+            std::thread::sleep(READER_CHECK_PERIOD);
         }
     }
 
@@ -269,7 +275,7 @@ impl<W: Writer> OutputPort<W> {
             if self.stop.forced() {
                 return Err(PortError::Stopped);
             }
-            if !writer.wait(TELL_END) {
+            if !writer.wait(ANNOUNCEMENT_PERIOD) {
                 self.stop.wait_for(&full);
             }
         }
@@ -287,20 +293,20 @@ impl<W: Writer> OutputPort<W> {
     }
 }
 
-/// Whom a writer has told of its end.
+/// How far the announcement of a writer's end has come.
 #[derive(Clone, Debug)]
-pub(super) struct Telling {
+pub(super) struct EndAnnouncement {
     /// The readers that were there at the last look.
     pub(super) before: Vec<ConnectedReader>,
-    pub(super) told: BTreeSet<String>,
+    pub(super) reached: BTreeSet<String>,
     last: Option<Instant>,
     /// Until then readers are waited for that never came.
     deadline: Instant,
 }
 
-impl Telling {
+impl EndAnnouncement {
     pub(super) const fn until(deadline: Instant) -> Self {
-        Self { before: Vec::new(), told: BTreeSet::new(), last: None, deadline }
+        Self { before: Vec::new(), reached: BTreeSet::new(), last: None, deadline }
     }
 }
 

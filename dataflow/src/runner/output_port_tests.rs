@@ -1,6 +1,6 @@
 //! Tests of an output: for whom it waits, what it counts, and how it tells its end.
 
-use super::output_port::{OutputPort, Telling, end_of_stream};
+use super::output_port::{EndAnnouncement, OutputPort, end_of_stream};
 use super::peers::Peers;
 use super::place_trial::AtOnce;
 use crate::clock::until;
@@ -249,7 +249,7 @@ fn a_step_is_counted_once_and_logged_where_it_has_counted_anything() {
     let mut trial = Trial::new(&[("sink", Delivery::Latest)], 1);
     let (mut status, mut list) = (Box::new(Status::default()), Vec::<Object>::new());
     let mut step = |counts: &[(&'static str, u64)], frame: u64| {
-        let mut output = Output::new(trial.output_port.place(header()), &mut list);
+        let mut output = Output::new(trial.output_port.untyped_output(header()), &mut list);
         output.count_all(counts.iter().copied());
         trial.send().unwrap();
         let log = logged(Level::DEBUG, || trial.output_port.tally(&mut status, frame));
@@ -350,10 +350,10 @@ fn the_end_is_told_again_now_and_then_where_it_may_have_been_lost() {
         let mut reader = trial.reader(present);
         let end = [end_of_stream(&header(), Text::new("stage"), 0)];
         let begin = Instant::now();
-        let mut telling = Telling::until(begin);
+        let mut announcement = EndAnnouncement::until(begin);
         [0, 100, 101].map(|passed_ms| {
             let now = begin + Duration::from_millis(passed_ms);
-            assert!(!trial.output_port.tell(&end, &mut telling, now).unwrap(), "it is there");
+            assert!(!trial.output_port.announce_end(&end, &mut announcement, now).unwrap(), "it is there");
             ends(&mut reader).len()
         })
     };
@@ -369,13 +369,13 @@ fn who_never_came_is_waited_for_until_the_deadline_and_who_has_not_finished_beyo
     let deadline = Instant::now();
     let times = [deadline, deadline + Duration::from_nanos(1)];
     let mut trial = Trial::new(&[("sink", Delivery::Latest)], 3);
-    let mut is_over = |now| trial.output_port.tell(&end, &mut Telling::until(deadline), now).unwrap();
+    let mut is_over = |now| trial.output_port.announce_end(&end, &mut EndAnnouncement::until(deadline), now).unwrap();
     assert_eq!(times.map(&mut is_over), [false, true]);
     let mut trial = Trial::new(&[("sink", Delivery::Lossless)], 0);
     let killed = trial.reader("sink");
     trial.send().unwrap();
     drop(killed);
-    let mut is_over = |now| trial.output_port.tell(&end, &mut Telling::until(deadline), now).unwrap();
+    let mut is_over = |now| trial.output_port.announce_end(&end, &mut EndAnnouncement::until(deadline), now).unwrap();
     assert_eq!(times.map(&mut is_over), [false, false]);
 }
 

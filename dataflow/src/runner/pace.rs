@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 
 /// What is due later than this is never due, for whoever waits for it; 30 years, which any clock can tell.
 const LONGEST_PERIOD_S: f64 = 1e9;
-/// A source that waits looks this often whether something else is wished.
-const LOOK: Duration = Duration::from_millis(20);
+/// A source that waits looks this often whether a request came.
+const PAUSE_CHECK_PERIOD: Duration = Duration::from_millis(20);
 /// A wait for a stamp that is longer is told: whoever looks on may take the run for one that stands still.
 const LONG: Duration = Duration::from_secs(5); // [algorithmic]
 
@@ -81,8 +81,8 @@ impl Pace {
             let left = due.saturating_duration_since(Instant::now());
             let pause = match turn {
                 Turn::Go if left.is_zero() => return,
-                Turn::Go => left.min(LOOK),
-                Turn::Stand => LOOK,
+                Turn::Go => left.min(PAUSE_CHECK_PERIOD),
+                Turn::Stand => PAUSE_CHECK_PERIOD,
                 Turn::Step => {
                     // What follows is due after this one, not after the time at which it would have been due.
                     self.due = Some(Instant::now());
@@ -115,7 +115,7 @@ fn tell(record: &mut StatusFile, turn: Turn) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pause::{PAUSE_FILE, PauseFile, PauseWish};
+    use crate::pause::{PAUSE_FILE, PauseFile, PauseRequest};
 
     fn rhythm(rate_hz: f64) -> Rhythm {
         Rhythm { rate_hz, keeps_stamps: false, can_pause: true }
@@ -184,7 +184,7 @@ mod tests {
         let mut pace = Pace::new(rhythm(1.0 / hour.as_secs_f64()), Stop::default(), pause);
         pace.wait_to_make(&mut record, || ());
         for _ in 0..5 {
-            word.change(PauseWish::Step).unwrap();
+            word.change(PauseRequest::Step).unwrap();
             pace.wait_to_make(&mut record, || ());
             assert_eq!(record.status.pausing(), Pausing::Stands);
         }

@@ -2,7 +2,7 @@
 //! language stands on. It has the rights and duties of a [`Source`](crate::Source).
 
 use super::pace::Rhythm;
-use super::side_ports::{KeptMessage, kept};
+use super::side_ports::{RetainedMessage, retained};
 use super::source_loop::{SourcePlace, resume, takes_place};
 use super::{RunError, StageRuntime};
 use crate::item_type::{AnyMessage, ItemType};
@@ -77,8 +77,8 @@ impl PulledSource {
     }
 
     /// The latest messages of the side inputs, by their names; each may be missing.
-    pub fn side_inputs(&self) -> impl Iterator<Item = (&str, KeptMessage, &ItemType)> {
-        kept(&self.place.side_inputs)
+    pub fn side_inputs(&self) -> impl Iterator<Item = (&str, RetainedMessage, &ItemType)> {
+        retained(&self.place.side_inputs)
     }
 
     /// Sends a message; a number in the header counts where it rises.

@@ -1,15 +1,15 @@
 //! A stage whose program asks for its messages, in place of being called with them: what a binding to another language
 //! stands on. It has the rights and duties of a [`Stage`](crate::Stage), and sends exactly one message for each that it takes.
 
-use super::side_ports::{KeptMessage, kept};
-use super::stage_place::{Look, StagePlace, item_of, open_input};
+use super::side_ports::{RetainedMessage, retained};
+use super::stage_place::{StagePlace, item_of, open_input};
 use super::takeover::take_place;
 use super::untyped::of_same_frame;
 use super::{RunError, StageRuntime, is_stopped};
 use crate::clock::monotonic_ns;
 use crate::item_type::{AnyMessage, ItemType};
-use crate::ports::Received;
 use crate::ports::shared_memory::SharedMemory;
+use crate::ports::{Polled, Received};
 use crate::stage::Context;
 use conicflow_messages::{AnyByte, Header};
 use serde_json::Value as Json;
@@ -35,16 +35,6 @@ struct Step {
     /// Time in which its readers had no room.
     waited: Duration,
     has_sent: bool,
-}
-
-/// What asking for a message brought.
-pub enum Pulled {
-    /// The next message, and when it came (see [`monotonic_ns`]).
-    Message(KeptMessage, u64),
-    /// None yet.
-    Nothing,
-    /// None, and none will come: the stage is to end.
-    Over,
 }
 
 impl PulledStage {
@@ -91,32 +81,33 @@ impl PulledStage {
         (self.place.input_topic(), self.place.input_item())
     }
 
-    /// Ends the step with the last message, and takes the next one; waits for it, at most for `patience`.
+    /// Ends the step with the last message, and takes the next one, with the moment at which it came (see [`monotonic_ns`]); waits
+    /// for it, at most for `patience`. Where none will come, the stage is to end.
     ///
     /// # Errors
     /// Its ports failed.
-    pub fn pull(&mut self, patience: Duration) -> Result<Pulled, RunError> {
+    pub fn pull(&mut self, patience: Duration) -> Result<Polled<(RetainedMessage, u64)>, RunError> {
         self.has_begun = true;
         self.end_step()?;
         if self.is_over {
-            return Ok(Pulled::Over);
+            return Ok(Polled::Over);
         }
-        match self.place.look(patience)? {
-            Look::Over => Ok(Pulled::Over),
-            Look::Nothing => Ok(Pulled::Nothing),
-            Look::Message(message) => {
+        match self.place.poll(patience)? {
+            Polled::Over => Ok(Polled::Over),
+            Polled::Pending => Ok(Polled::Pending),
+            Polled::Message(message) => {
                 let (header, received_ns) = (*message.header(), monotonic_ns());
                 self.place.find_side_inputs(&header)?;
                 let (started, waited) = (Instant::now(), Duration::ZERO);
                 self.step = Some(Step { header, received_ns, started, waited, has_sent: false });
-                Ok(Pulled::Message(Arc::new(message), received_ns))
+                Ok(Polled::Message((Arc::new(message), received_ns)))
             }
         }
     }
 
     /// The messages of the side inputs that go with the step, by their names; each may be missing.
-    pub fn side_inputs(&self) -> impl Iterator<Item = (&str, KeptMessage, &ItemType)> {
-        kept(&self.place.side_inputs)
+    pub fn side_inputs(&self) -> impl Iterator<Item = (&str, RetainedMessage, &ItemType)> {
+        retained(&self.place.side_inputs)
     }
 
     /// The frame of the step, if there is one.

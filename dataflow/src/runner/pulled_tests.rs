@@ -3,11 +3,11 @@
 use super::StageRuntime;
 use super::peers::Peers;
 use super::pulled_source::PulledSource;
-use super::pulled_stage::{Pulled, PulledStage};
+use super::pulled_stage::PulledStage;
 use crate::item_type::ItemType;
 use crate::pause::Pause;
 use crate::ports::shared_memory::{SharedMemory, SharedReader};
-use crate::ports::{Delivery, Reader, Received, Topic, TopicReader, Transport, Wiring};
+use crate::ports::{Delivery, Polled, Reader, Received, Topic, TopicReader, Transport, Wiring};
 use crate::stage::{Context, Stop};
 use crate::status::{Life, Status, StatusFile, status_path, used};
 use bytemuck::bytes_of;
@@ -71,12 +71,12 @@ fn came(viewer: &mut SharedReader) -> Vec<(u64, usize)> {
 fn pull(stage: &mut PulledStage) -> Option<u64> {
     loop {
         match stage.pull(PATIENCE).unwrap() {
-            Pulled::Message(message, received_ns) => {
+            Polled::Message((message, received_ns)) => {
                 assert!(received_ns >= message.header().trace()[0].sent_ns);
                 return Some(message.header().sequence);
             }
-            Pulled::Nothing => {}
-            Pulled::Over => return None,
+            Polled::Pending => {}
+            Polled::Over => return None,
         }
     }
 }

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 const ON_ITS_WAY: Duration = Duration::from_millis(500);
 
 /// A message that whoever has it may keep; its writer's memory is not used for another one as long.
-pub type KeptMessage = Arc<dyn Received + Send + Sync>;
+pub type RetainedMessage = Arc<dyn Received + Send + Sync>;
 
 /// What a stage reads: its side inputs, and what drives it.
 pub(crate) type Inputs<R> = (Vec<SidePort<R>>, InputPort<R>);
@@ -47,8 +47,8 @@ pub(crate) fn found<R: Reader>(ports: &[SidePort<R>]) -> SideInputs<'_> {
 }
 
 /// The same to keep, with what their items are.
-pub(crate) fn kept<R: Reader>(ports: &[SidePort<R>]) -> impl Iterator<Item = (&str, KeptMessage, &ItemType)> {
-    ports.iter().filter_map(|port| Some((port.name(), port.found.clone()? as KeptMessage, port.input_port.item())))
+pub(crate) fn retained<R: Reader>(ports: &[SidePort<R>]) -> impl Iterator<Item = (&str, RetainedMessage, &ItemType)> {
+    ports.iter().filter_map(|port| Some((port.name(), port.found.clone()? as RetainedMessage, port.input_port.item())))
 }
 
 /// A side input, opened.

@@ -188,7 +188,7 @@ impl<T: Transport> SourceLoop<'_, T> {
         place.find_side_inputs()?;
         let started = Instant::now();
         let side_inputs = side_ports::found(&place.side_inputs);
-        let output = place.output_port.place(Header::default());
+        let output = place.output_port.untyped_output(Header::default());
         let make = || self.source.next(&side_inputs, output);
         let (next, Made { header, list }) = guarded(&mut place.record, place.sequence, make)?;
         let header = place.numbered(header);

@@ -58,7 +58,7 @@ impl<T: Transport> StageLoop<'_, T> {
         place.find_side_inputs(&header)?;
         let started = Instant::now();
         let side_inputs = side_ports::found(&place.side_inputs);
-        let output = place.output_port.place(header);
+        let output = place.output_port.untyped_output(header);
         let step = || self.stage.step((&header, message.bytes()), &side_inputs, output);
         let Made { header: made, list } = guarded(&mut place.record, header.sequence, step)?;
         drop(message);

@@ -7,7 +7,7 @@ use super::peers::Peers;
 use super::side_ports::{Inputs, SidePort};
 use super::{RunError, StageRuntime};
 use crate::item_type::ItemType;
-use crate::ports::{PortError, Reader, Topic, Transport};
+use crate::ports::{Polled, PortError, Reader, Topic, Transport};
 use crate::stage::{StageError, Stop};
 use crate::status::{Life, StatusFile};
 use conicflow_messages::Header;
@@ -15,9 +15,9 @@ use std::fs::File;
 use std::time::{Duration, Instant};
 
 /// Where nothing has come for so long, what should have come may be lost with a stage and the one before it.
-const PATIENCE_WITH_WRITERS: Duration = Duration::from_secs(5);
+const SILENCE_BEFORE_LETTING_GO: Duration = Duration::from_secs(5);
 /// A stage that nobody wakes looks around this often.
-const TICK: Duration = Duration::from_millis(100);
+const IDLE_CHECK_PERIOD: Duration = Duration::from_millis(100);
 
 pub(crate) type MessageOf<T> = <<T as Transport>::Reader as Reader>::Message;
 
@@ -37,16 +37,6 @@ pub(crate) struct StagePlace<T: Transport> {
     last_came: Instant,
     /// Held as long as the place is taken.
     _lock: Option<File>,
-}
-
-/// What a look at the input brought.
-pub(crate) enum Look<M> {
-    /// The next message.
-    Message(M),
-    /// None yet.
-    Nothing,
-    /// None, and none will come, or the run is to end.
-    Over,
 }
 
 /// What the items of a topic are, for a stage that takes or sends lists of any type.
@@ -105,45 +95,46 @@ impl<T: Transport> StagePlace<T> {
     /// Waits for the next message; `None` when no more will come, or the run is to end.
     pub(crate) fn next_message(&mut self) -> Result<Option<MessageOf<T>>, PortError> {
         loop {
-            match self.look(TICK)? {
-                Look::Message(message) => return Ok(Some(message)),
-                Look::Over => return Ok(None),
-                Look::Nothing => {}
+            match self.poll(IDLE_CHECK_PERIOD)? {
+                Polled::Message(message) => return Ok(Some(message)),
+                Polled::Over => return Ok(None),
+                Polled::Pending => {}
             }
         }
     }
 
-    /// Looks for the next message, and where there is none waits for one, at most for `patience`.
-    pub(crate) fn look(&mut self, patience: Duration) -> Result<Look<MessageOf<T>>, PortError> {
+    /// Looks for the next message, and where there is none waits for one, at most for `patience`. None will come where the run is
+    /// to end.
+    pub(crate) fn poll(&mut self, patience: Duration) -> Result<Polled<MessageOf<T>>, PortError> {
         if self.stop.requested() || self.may_leave() {
-            return Ok(Look::Over);
+            return Ok(Polled::Over);
         }
         // The writers are looked at first: what they sent before they were gone is then sure to be found.
         let last_call = self.input_port.is_idle() && self.writers_are_gone();
         match self.input_port.take_step()? {
             Step::Message(message) => {
                 self.last_came = Instant::now();
-                return Ok(Look::Message(message));
+                return Ok(Polled::Message(message));
             }
             // It must not come again, should this stage die of the next one.
             Step::LeftOut => {
                 self.keep_inputs();
                 self.input_port.acknowledge();
-                return Ok(Look::Nothing);
+                return Ok(Polled::Pending);
             }
             Step::Nothing => {}
         }
         self.input_port.acknowledge();
         self.output_port.catch_up();
-        if self.last_came.elapsed() > PATIENCE_WITH_WRITERS {
+        if self.last_came.elapsed() > SILENCE_BEFORE_LETTING_GO {
             self.last_came = Instant::now();
             self.side_inputs.iter_mut().try_for_each(|side| side.let_go())?;
         }
         if last_call || self.input_port.ended() {
-            return Ok(Look::Over);
+            return Ok(Polled::Over);
         }
         self.input_port.wait(patience)?;
-        Ok(Look::Nothing)
+        Ok(Polled::Pending)
     }
 
     /// What the items of its messages are.
@@ -260,10 +251,10 @@ mod tests {
         let output_port = runtime.output_port(&ItemType::of::<Nothing>()).unwrap();
         let mut place = StagePlace::begin(runtime, input, (side_inputs, input_port), output_port).unwrap();
         send_items(&mut writer, from("side", 0), &[ball()]);
-        assert!(matches!(place.look(Duration::ZERO).unwrap(), Look::Nothing));
+        assert!(matches!(place.poll(Duration::ZERO).unwrap(), Polled::Pending));
         assert_eq!(writer.unfinished("stage"), 1);
-        place.last_came = Instant::now().checked_sub(PATIENCE_WITH_WRITERS + TICK).unwrap();
-        assert!(matches!(place.look(Duration::ZERO).unwrap(), Look::Nothing));
+        place.last_came = Instant::now().checked_sub(SILENCE_BEFORE_LETTING_GO + IDLE_CHECK_PERIOD).unwrap();
+        assert!(matches!(place.poll(Duration::ZERO).unwrap(), Polled::Pending));
         assert_eq!(writer.unfinished("stage"), 0);
     }
 }

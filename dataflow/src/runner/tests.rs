@@ -1,7 +1,7 @@
 //! Tests of the two loops, over the in-memory twin of shared memory.
 
 use super::alone::{Owned, collect, pass, step};
-use super::output_port::{OutputPort, Telling};
+use super::output_port::{EndAnnouncement, OutputPort};
 use super::peers::Peers;
 use super::untyped::NewStage;
 use crate::ports::in_memory::{InMemory, MemoryReader, MemoryWriter};
@@ -118,7 +118,7 @@ fn bytes_that_are_no_whole_items_are_an_error_and_not_an_empty_message() {
     let (peers, header, objects) = (Peers::default(), header(0), [ball(0.2)]);
     let mut output = OutputPort::new(None::<(MemoryWriter, Topic)>, "large", 0, peers, Stop::default());
     let mut step = |bytes| {
-        let made = stage.step((&header, bytes), &SideInputs::default(), output.place(header));
+        let made = stage.step((&header, bytes), &SideInputs::default(), output.untyped_output(header));
         made.map(|made| made.list.map(<[u8]>::len)).map_err(|error| error.to_string())
     };
     let bytes = cast_slice(&objects);
@@ -189,13 +189,13 @@ fn until_the_end(mut reader: MemoryReader) -> u64 {
 fn a_reader_that_comes_anew_between_two_looks_is_told_the_end_too() {
     let (memory, topic, mut output_port) = ending("sink", Peers::default());
     let (end, now) = ([end_of_stream(&header(3), Text::new("stage"), 3)], Instant::now());
-    let mut telling = Telling::until(now);
+    let mut announcement = EndAnnouncement::until(now);
     for process in ["first", "second"] {
         let present = memory.reader::<Object>(&topic, "sink").unwrap();
-        assert!(!output_port.tell(&end, &mut telling, now).unwrap(), "the {process} is there");
+        assert!(!output_port.announce_end(&end, &mut announcement, now).unwrap(), "the {process} is there");
         assert_eq!(until_the_end(present), 3);
     }
-    assert!(output_port.tell(&end, &mut telling, now).unwrap());
+    assert!(output_port.announce_end(&end, &mut announcement, now).unwrap());
 }
 
 #[test]
@@ -204,15 +204,18 @@ fn a_reader_that_was_told_the_end_and_killed_is_waited_for_and_told_again() {
     let life = |_: &str| Some(if IS_OVER.load(Ordering::Relaxed) { Life::Ended } else { Life::Running });
     let (memory, topic, mut output_port) = ending("sink", Peers::modelled(life));
     let (end, now) = ([end_of_stream(&header(3), Text::new("stage"), 3)], Instant::now());
-    let mut telling = Telling::until(now + Duration::from_secs(3600));
+    let mut announcement = EndAnnouncement::until(now + Duration::from_secs(3600));
     for process in ["first", "second"] {
         let present = memory.reader::<Object>(&topic, "sink").unwrap();
-        assert!(!output_port.tell(&end, &mut telling, now).unwrap(), "the {process} is there");
+        assert!(!output_port.announce_end(&end, &mut announcement, now).unwrap(), "the {process} is there");
         assert_eq!(until_the_end(present), 3);
-        assert!(!output_port.tell(&end, &mut telling, now).unwrap(), "the launcher is about to start that stage anew");
+        assert!(
+            !output_port.announce_end(&end, &mut announcement, now).unwrap(),
+            "the launcher is about to start that stage anew"
+        );
     }
     IS_OVER.store(true, Ordering::Relaxed);
-    assert!(output_port.tell(&end, &mut telling, now).unwrap());
+    assert!(output_port.announce_end(&end, &mut announcement, now).unwrap());
 }
 
 #[test]
@@ -220,12 +223,12 @@ fn the_bridge_which_may_have_other_topics_is_not_waited_for_when_it_was_told_the
     let leaves_at_once = |reader: &str| {
         let (memory, topic, mut output_port) = ending(reader, Peers::modelled(|_| Some(Life::Running)));
         let (end, now) = ([end_of_stream(&header(3), Text::new("stage"), 3)], Instant::now());
-        let mut telling = Telling::until(now + Duration::from_secs(3600));
-        assert!(!output_port.tell(&end, &mut telling, now).unwrap(), "it has not come");
+        let mut announcement = EndAnnouncement::until(now + Duration::from_secs(3600));
+        assert!(!output_port.announce_end(&end, &mut announcement, now).unwrap(), "it has not come");
         let present = memory.reader::<Object>(&topic, reader).unwrap();
-        assert!(!output_port.tell(&end, &mut telling, now).unwrap(), "it is there");
+        assert!(!output_port.announce_end(&end, &mut announcement, now).unwrap(), "it is there");
         assert_eq!(until_the_end(present), 3);
-        output_port.tell(&end, &mut telling, now).unwrap()
+        output_port.announce_end(&end, &mut announcement, now).unwrap()
     };
     assert_eq!(["bridge", "sink"].map(leaves_at_once), [true, false]);
 }

@@ -4,7 +4,7 @@ use super::RunError;
 use super::pace::Rhythm;
 use crate::item_type::ItemType;
 use crate::side_inputs::{SideInput, SideInputs};
-use crate::stage::{Context, Next, Output, Place, Source, Stage, StageError};
+use crate::stage::{Context, Next, Output, Source, Stage, StageError, UntypedOutput};
 use bytemuck::{cast_slice, try_cast_slice};
 use conicflow_messages::{END_OF_STREAM, Header, Item, Message, Nothing};
 use serde::de::DeserializeOwned;
@@ -35,7 +35,7 @@ pub(crate) trait AnyStage {
         &mut self,
         message: (&Header, &[u8]),
         side_inputs: &SideInputs,
-        place: Place<'_>,
+        output: UntypedOutput<'_>,
     ) -> Result<Made<'_>, StageError>;
 
     /// Calls [`Stage::finish`].
@@ -50,7 +50,7 @@ pub(crate) trait AnySource {
     fn total(&self) -> Option<u64>;
 
     /// Calls [`Source::next`].
-    fn next(&mut self, side_inputs: &SideInputs, place: Place<'_>) -> Result<(Next, Made<'_>), StageError>;
+    fn next(&mut self, side_inputs: &SideInputs, output: UntypedOutput<'_>) -> Result<(Next, Made<'_>), StageError>;
 
     /// Calls [`Source::finish`].
     fn finish(&mut self) -> Result<(), StageError>;
@@ -114,10 +114,10 @@ impl<S: Stage> AnyStage for Typed<S, S::Output> {
         &mut self,
         (header, bytes): (&Header, &[u8]),
         side_inputs: &SideInputs,
-        place: Place<'_>,
+        output: UntypedOutput<'_>,
     ) -> Result<Made<'_>, StageError> {
         let input = Message { header, items: items(bytes)? };
-        let mut output = Output::new(place, &mut self.list);
+        let mut output = Output::new(output, &mut self.list);
         self.inner.step(&input, side_inputs, &mut output)?;
         let (made, is_image) = (output.header, output.is_image());
         Ok(Made { header: of_same_frame(made, header), list: (!is_image).then_some(cast_slice(&self.list)) })
@@ -138,8 +138,8 @@ impl<S: Source> AnySource for Typed<S, S::Output> {
         self.inner.total()
     }
 
-    fn next(&mut self, side_inputs: &SideInputs, place: Place<'_>) -> Result<(Next, Made<'_>), StageError> {
-        let mut output = Output::new(place, &mut self.list);
+    fn next(&mut self, side_inputs: &SideInputs, output: UntypedOutput<'_>) -> Result<(Next, Made<'_>), StageError> {
+        let mut output = Output::new(output, &mut self.list);
         let next = self.inner.next(side_inputs, &mut output)?;
         let (header, is_image) = (output.header, output.is_image());
         Ok((next, Made { header, list: (!is_image).then_some(cast_slice(&self.list)) }))

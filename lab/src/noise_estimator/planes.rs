@@ -52,12 +52,12 @@ pub struct Planes {
     /// Depth in metres and covariances in square metres of each window of each frame.
     windows: Vec<(f64, Covariances)>,
     /// The same place in all frames, for a camera that stands still.
-    places: Vec<Place>,
+    places: Vec<WindowHistory>,
 }
 
 /// A window's residuals over the frames.
 #[derive(Clone, Debug, Default)]
-struct Place {
+struct WindowHistory {
     frames: u32,
     depth: f64,
     covariances: Covariances,
@@ -82,7 +82,7 @@ impl Planes {
             let covariances = covariances(&residuals);
             self.windows.push((depth, covariances));
             if still {
-                self.places.resize_with(self.places.len().max(place + 1), Place::default);
+                self.places.resize_with(self.places.len().max(place + 1), WindowHistory::default);
                 self.places[place].add(depth, &covariances, &residuals);
             }
         }
@@ -116,7 +116,7 @@ fn flattened(inverse: &[f64], width: usize, [left, top]: [usize; 2], planes: &[P
     (middle > 0.0).then(|| (middle, residuals.collect()))
 }
 
-impl Place {
+impl WindowHistory {
     fn add(&mut self, depth: f64, covariances: &Covariances, residuals: &[f64]) {
         self.sums.resize(residuals.len(), 0.0);
         self.counts.resize(residuals.len(), 0);
@@ -419,7 +419,7 @@ normal = [0.2, -1, 0.5]
             };
             planes.add(&header, &(0..320 * 240).map(depth).collect::<Vec<_>>(), true);
         }
-        let parts: Vec<_> = planes.places.iter().map(Place::parts).collect();
+        let parts: Vec<_> = planes.places.iter().map(WindowHistory::parts).collect();
         for (index, expected) in [(0, 0.001), (1, 0.002)] {
             let part: Vec<_> = parts.iter().map(|(depth, parts)| (*depth, parts[index])).collect();
             let sigma = typical(&part, |_, covariances| covariances[0][0].sqrt());

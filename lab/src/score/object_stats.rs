@@ -180,7 +180,7 @@ pub fn all<'a>(objects: impl Iterator<Item = &'a ObjectStats> + Clone, wrong: u6
 
 #[cfg(test)]
 mod tests {
-    use super::super::observation::{Seen, State};
+    use super::super::observation::{Sighting, State};
     use super::super::sigmas::Sigmas;
     use super::*;
 
@@ -191,7 +191,7 @@ mod tests {
             State { position, distance_m: 2.0, radius_m: 0.1, half_angle: 0.0, axis }
         };
         let error = |truth: Vector3<f64>, seen: Vector3<f64>| {
-            let seen = Seen { state: state(seen), id: None, stated_speed_mps: None, sigmas: Sigmas::default() };
+            let seen = Sighting { state: state(seen), id: None, stated_speed_mps: None, sigmas: Sigmas::default() };
             axis_error(&Observation { truth: Some(state(truth)), seen: Some(seen), ..Observation::default() }).unwrap()
         };
         let leaning = Vector3::new(0.3_f64.sin(), 0.3_f64.cos(), 0.0);
@@ -211,7 +211,7 @@ mod tests {
             let (position, axis) = (Vector3::new(x, 0.0, 2.0), Vector3::zeros());
             State { position, distance_m: 2.0 + x, radius_m: 0.1, half_angle: 0.0, axis }
         };
-        let seen = seen.map(|x| Seen { state: at(x), id: None, stated_speed_mps: None, sigmas: Sigmas::default() });
+        let seen = seen.map(|x| Sighting { state: at(x), id: None, stated_speed_mps: None, sigmas: Sigmas::default() });
         Observation { time_s, truth: Some(at(x)), seen, ..Observation::default() }
     }
 

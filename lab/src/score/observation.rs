@@ -19,7 +19,7 @@ pub struct Observation {
     /// The truth, where it is known.
     pub truth: Option<State>,
     /// What was seen, if it was.
-    pub seen: Option<Seen>,
+    pub seen: Option<Sighting>,
     /// True speed across its axis since the frame before, in m/s.
     pub true_speed_mps: Option<f64>,
     /// The speed that was measured.
@@ -43,7 +43,7 @@ pub struct State {
 
 /// What was seen of an object.
 #[derive(Clone, Copy, Debug)]
-pub struct Seen {
+pub struct Sighting {
     /// Its state.
     pub state: State,
     /// Identity of the track.
@@ -63,7 +63,7 @@ impl Observation {
         world_from_camera: &IsometryMatrix3<f64>,
     ) -> Self {
         let state = |object: &Object| State::of(object, &truth.body.center.into(), world_from_camera);
-        let seen = answer.map(|Answer { object, id, velocity }| Seen {
+        let seen = answer.map(|Answer { object, id, velocity }| Sighting {
             state: state(object),
             id: *id,
             stated_speed_mps: velocity.map(|velocity| perpendicular(&velocity, &axis(object)).norm()),
@@ -79,7 +79,7 @@ impl Observation {
         let kind = object.shape().name();
         let name = id.map_or_else(|| kind.to_owned(), |id| format!("{kind} {id}"));
         let state = State::of(object, &object.center.into(), &IsometryMatrix3::identity());
-        let seen = Some(Seen { state, id: *id, stated_speed_mps: None, sigmas: Sigmas::default() });
+        let seen = Some(Sighting { state, id: *id, stated_speed_mps: None, sigmas: Sigmas::default() });
         Self { time_s, name, seen, ..Self::default() }
     }
 }

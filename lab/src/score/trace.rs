@@ -1,6 +1,6 @@
 //! Each frame's observations as CSV: where each object was and where it was seen, in the world frame.
 
-use super::observation::{Observation, Seen, State};
+use super::observation::{Observation, Sighting, State};
 use anyhow::{Result, anyhow};
 use conicflow_messages::Hinted;
 use std::fs::File;
@@ -44,7 +44,7 @@ impl Trace {
             let number = |number: &f64| format!("{number:.6}");
             let mut cells = vec![number(time_s), name.clone()];
             cells.extend(camera.iter().chain(place).map(number));
-            if let Some(Seen { state, id, .. }) = seen {
+            if let Some(Sighting { state, id, .. }) = seen {
                 cells.extend(state.position.iter().chain([&state.radius_m]).map(number));
                 cells.extend(id.map(|id| id.to_string()));
             }

@@ -62,7 +62,7 @@ pub fn truth_of(scene: &Scene, time_s: f64, raster: &Raster, shapes: &[Shape]) -
 
 /// What is seen of a shape.
 #[derive(Clone, Copy, Debug)]
-struct Seen {
+struct VisibleExtent {
     points: u32,
     rows: u32,
     last_row: i64,
@@ -90,9 +90,9 @@ impl Span {
     }
 }
 
-fn look(raster: &Raster, shapes: &[Shape]) -> Vec<Seen> {
+fn look(raster: &Raster, shapes: &[Shape]) -> Vec<VisibleExtent> {
     let (u, v, along, angle) = (Span::EMPTY, Span::EMPTY, Span::EMPTY, Span::EMPTY);
-    let nothing = Seen { points: 0, rows: 0, last_row: -1, u, v, along, angle };
+    let nothing = VisibleExtent { points: 0, rows: 0, last_row: -1, u, v, along, angle };
     let mut seen = vec![nothing; shapes.len()];
     for v in 0..i64::from(raster.camera.height) {
         for u in 0..i64::from(raster.camera.width) {
@@ -106,7 +106,7 @@ fn look(raster: &Raster, shapes: &[Shape]) -> Vec<Seen> {
     seen
 }
 
-impl Seen {
+impl VisibleExtent {
     fn add(&mut self, shape: &Shape, [u, v]: [i64; 2], point: &Vector3<f64>) {
         self.points += 1;
         self.rows += u32::from(v != self.last_row);
@@ -186,7 +186,7 @@ fn part_of(frustum: &Frustum, from: f64, to: f64) -> Object {
     }
 }
 
-fn visible_part(whole: Object, shape: &Shape, seen: &Seen) -> Object {
+fn visible_part(whole: Object, shape: &Shape, seen: &VisibleExtent) -> Object {
     let part = match shape {
         Shape::Frustum(frustum) if seen.along.width() > 0.0 => part_of(frustum, seen.along.least, seen.along.most),
         _ => whole,

@@ -12,7 +12,7 @@ use super::invocation::{FileArguments, options, say};
 use anyhow::{Context as _, Result, bail, ensure};
 use clap::Args;
 use conicflow_dataflow::pipeline::{Pipeline, Report};
-use conicflow_dataflow::{FileUse, told_to_end};
+use conicflow_dataflow::{FileUse, termination_flag};
 use conicflow_messages::Hinted;
 use report::Variants;
 use std::io::{Write as _, stdout};
@@ -73,7 +73,7 @@ pub fn compare(arguments: &CompareArguments, log: &str) -> Result<ExitCode> {
     if let Some(folder) = keep {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder `{}`", folder.display()))?;
     }
-    let how = How { frames, with_depth, keep, interrupted: told_to_end()?, options: options(log)? };
+    let how = How { frames, with_depth, keep, interrupted: termination_flag()?, options: options(log)? };
     let mut variants = Vec::new();
     for (letter, pipeline, set) in [("a", a, &arguments.a), ("b", b, &arguments.b)] {
         say(format_args!("variant {letter}: {}", report::words(set)));

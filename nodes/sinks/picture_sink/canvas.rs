@@ -273,7 +273,7 @@ mod tests {
     use super::*;
 
     const WHITE: Colour = [255; 3];
-    const LOOK: (Size, bool, Colour, f64) = (Size::Small, false, WHITE, 1.0);
+    const LETTERING: (Size, bool, Colour, f64) = (Size::Small, false, WHITE, 1.0);
 
     fn canvas(width: u32, height: u32) -> Canvas {
         let mut canvas = Canvas::default();
@@ -330,7 +330,7 @@ mod tests {
         picture.begin(8, 8);
         picture.dot(i64::MAX, i64::MAX, 3, WHITE);
         picture.dot(3, i64::MIN, 3, WHITE);
-        picture.text((i64::MAX / 2, 3), "far", LOOK);
+        picture.text((i64::MAX / 2, 3), "far", LETTERING);
         assert!(painted(&picture, 1).is_empty());
     }
 
@@ -346,7 +346,7 @@ mod tests {
     fn text_is_as_wide_as_it_says_and_every_sign_of_a_label_is_there() {
         let mut picture = canvas(400, 30);
         let text = "#12 cylinder  98 %  r 0.50 ± 0.1 mm, 12.5°";
-        picture.text((2, 3), text, LOOK);
+        picture.text((2, 3), text, LETTERING);
         let painted = painted(&picture, 1);
         let right = painted.iter().map(|(x, _)| *x as i64).max().unwrap();
         let width = Size::Small.width(text);

@@ -48,8 +48,8 @@ impl Drawn for Track {
             let name = format!("#{} {}", track.id, track.object.shape().name());
             let state = track.track_state();
             let note = (state != TrackState::Confirmed).then(|| state.name());
-            let look = Look { colour, sure: seen * sureness(&track.object), dash };
-            painter.shape(&track.object, look, labels::lines(&name, &track.object, note));
+            let style = LineStyle { colour, sure: seen * sureness(&track.object), dash };
+            painter.shape(&track.object, style, labels::lines(&name, &track.object, note));
         }
     }
 }
@@ -75,7 +75,7 @@ fn sureness(object: &Object) -> f64 {
 
 /// How an outline is drawn.
 #[derive(Clone, Copy, Debug)]
-struct Look {
+struct LineStyle {
     colour: Colour,
     sure: f64,
     /// Length of dashes and gaps, if it is broken.
@@ -166,13 +166,13 @@ impl Painter {
 
     /// Draws an object in the colour of its kind, with a word on it if there is one.
     pub fn object(&mut self, object: &Object, note: Option<&str>) {
-        let look = Look { colour: kind_colour(object.shape()), sure: sureness(object), dash: None };
-        self.shape(object, look, labels::lines(object.shape().name(), object, note));
+        let style = LineStyle { colour: kind_colour(object.shape()), sure: sureness(object), dash: None };
+        self.shape(object, style, labels::lines(object.shape().name(), object, note));
     }
 
-    fn shape(&mut self, object: &Object, look: Look, lines: [String; 2]) {
+    fn shape(&mut self, object: &Object, style: LineStyle, lines: [String; 2]) {
         outline::trace(object, &self.camera, &mut self.outline);
-        let Look { colour, sure, dash } = look;
+        let LineStyle { colour, sure, dash } = style;
         let width = self.line_width * (0.6 + 0.6 * sure);
         let (hidden, seen) = (self.lines(true), self.lines(false));
         self.canvas.stroke(seen.iter().copied(), width + 2.4, SHADOW, 0.75);

@@ -72,7 +72,7 @@ impl Format {
 
 /// Told of files that are looked at: how many were by now, and of how many as far as is known. A folder may have so many that it
 /// takes minutes, and a second to list them.
-pub(super) type Seen<'a> = dyn FnMut(usize, usize) + 'a;
+pub(super) type Progress<'a> = dyn FnMut(usize, usize) + 'a;
 
 /// One depth frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -101,16 +101,16 @@ pub(super) struct Layout {
 }
 
 impl Layout {
-    /// Finds the frames of `path`, a file or a folder; tells `seen` how far it is.
+    /// Finds the frames of `path`, a file or a folder; tells `progress` how far it is.
     ///
     /// # Errors
     /// There is nothing there, or no frame that can be read.
-    pub(super) fn discover(path: &Path, seen: &mut Seen<'_>) -> Result<Self> {
+    pub(super) fn discover(path: &Path, progress: &mut Progress<'_>) -> Result<Self> {
         let path = fs::canonicalize(path).map_err(|error| {
             let what = format!("`{}` cannot be opened: {error}", path.display());
             Hinted::new(what, "relative paths start at the pipeline file's folder")
         })?;
-        let layout = if path.is_file() { single_file(&path, seen) } else { folder(&path, seen) };
+        let layout = if path.is_file() { single_file(&path, progress) } else { folder(&path, progress) };
         layout?.readable(&path)
     }
 
@@ -168,9 +168,9 @@ struct Candidate {
     stamp_ns: Option<u64>,
 }
 
-fn single_file(path: &Path, seen: &mut Seen<'_>) -> Result<Layout> {
+fn single_file(path: &Path, progress: &mut Progress<'_>) -> Result<Layout> {
     if path.file_name().is_some_and(|name| name == tum::LIST) {
-        return tum_folder(folder_of(path), seen);
+        return tum_folder(folder_of(path), progress);
     }
     let Some(format) = format_of(path) else {
         bail!(Hinted::new(
@@ -185,28 +185,28 @@ fn folder_of(path: &Path) -> &Path {
     path.parent().unwrap_or(Path::new("."))
 }
 
-fn folder(path: &Path, seen: &mut Seen<'_>) -> Result<Layout> {
+fn folder(path: &Path, progress: &mut Progress<'_>) -> Result<Layout> {
     let above = folder_of(path);
     if path.join(tum::LIST).is_file() {
-        return tum_folder(path, seen);
+        return tum_folder(path, progress);
     }
     if path.file_name().is_some_and(|name| name == "depth") && above.join(tum::LIST).is_file() {
-        return tum_folder(above, seen);
+        return tum_folder(above, progress);
     }
     let inner = path.join("depth");
-    let outer = Listing::read(path, seen)?;
-    let listing = if outer.has_frames() || !inner.is_dir() { outer } else { Listing::read(&inner, seen)? };
+    let outer = Listing::read(path, progress)?;
+    let listing = if outer.has_frames() || !inner.is_dir() { outer } else { Listing::read(&inner, progress)? };
     listing.into_layout()
 }
 
-fn tum_folder(folder: &Path, seen: &mut Seen<'_>) -> Result<Layout> {
+fn tum_folder(folder: &Path, progress: &mut Progress<'_>) -> Result<Layout> {
     let list = folder.join(tum::LIST);
     let named = |error: Error| hinted(error, tum::HINT).context(format!("`{}`", list.display()));
     let text = read_text(&list, tum::MAX_BYTES).map_err(|error| named(error.into()))?;
     let entries = tum::parse(&text).map_err(named)?;
     let count = entries.len();
     let candidates = (1..).zip(entries).map(|(number, entry)| {
-        seen(number, count);
+        progress(number, count);
         let path = folder.join(entry.name);
         Candidate { stamp_ns: Some(entry.stamp_ns), ..Format::Png.candidate(path) }
     });
@@ -262,13 +262,13 @@ struct Listing {
 }
 
 impl Listing {
-    fn read(folder: &Path, seen: &mut Seen<'_>) -> Result<Self> {
+    fn read(folder: &Path, progress: &mut Progress<'_>) -> Result<Self> {
         let mut listing = Self { folder: folder.to_owned(), frames: BTreeMap::new(), others: BTreeMap::new() };
-        let files = sorted_files(folder, "", seen);
+        let files = sorted_files(folder, "", progress);
         let files = files.with_context(|| format!("`{}` cannot be listed", folder.display()))?;
         let count = files.len();
         for (number, path) in (1..).zip(files) {
-            seen(number, count);
+            progress(number, count);
             match format_of(&path) {
                 Some(format) => listing.add(format, path),
                 None => listing.add_other(other_kind(&path)),
@@ -345,13 +345,13 @@ impl Listing {
 }
 
 /// The files that are not hidden and whose names end so, in natural order of their names.
-pub(super) fn sorted_files(folder: &Path, ending: &str, seen: &mut Seen<'_>) -> std::io::Result<Vec<PathBuf>> {
+pub(super) fn sorted_files(folder: &Path, ending: &str, progress: &mut Progress<'_>) -> std::io::Result<Vec<PathBuf>> {
     /// Names that are listed, or compared, without a word.
     const AT_ONCE: usize = 1024;
     let mut names = Vec::new();
     for (listed, entry) in (1..).zip(fs::read_dir(folder)?) {
         if listed % AT_ONCE == 0 {
-            seen(0, listed);
+            progress(0, listed);
         }
         let entry = entry?;
         let (name, kind) = (entry.file_name(), entry.file_type()?);
@@ -368,7 +368,7 @@ pub(super) fn sorted_files(folder: &Path, ending: &str, seen: &mut Seen<'_>) -> 
     names.sort_unstable_by(|one, other| {
         compared += 1;
         if compared % AT_ONCE == 0 {
-            seen(0, count);
+            progress(0, count);
         }
         alphanumeric_sort::compare_os_str(one, other)
     });

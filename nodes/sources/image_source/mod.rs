@@ -59,7 +59,7 @@ impl Source for ImageSource {
     fn new(config: Config, context: &Context) -> Result<Self, StageError> {
         let counted = context.counted.get(UNREADABLE).copied().unwrap_or(0);
         let mut told = Instant::now();
-        let mut seen = |seen: usize, all: usize| {
+        let mut progress = |seen: usize, all: usize| {
             // Asking is the sign of life.
             context.stop.requested();
             if told.elapsed() > TELL {
@@ -68,7 +68,7 @@ impl Source for ImageSource {
             }
         };
         let from = (context.resume_at, counted);
-        Ok(Self(Playback::open_seen(&config, &context.base, from, &mut seen)?))
+        Ok(Self(Playback::open_with_progress(&config, &context.base, from, &mut progress)?))
     }
 
     fn message_length(config: &Config, base: &Path) -> Option<usize> {

@@ -4,7 +4,7 @@ use super::config::{Config, USUAL_RATE_HZ};
 use super::poses::Poses;
 use super::recording::{Frame, Recording};
 use anyhow::Result;
-use conicflow_dataflow::{EmptyFrames, TOO_FAR, tell_frame};
+use conicflow_dataflow::{EmptyFrames, TOO_FAR, report_frame};
 use conicflow_messages::{Camera, HAS_POSE, Header, Hinted, NoiseModel, RECORDED, Text};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -46,23 +46,23 @@ impl Playback {
     /// # Errors
     /// There is none, or its camera is not known.
     pub fn open(config: &Config, base: &Path, resume_at: u64, counted: u64) -> Result<Self> {
-        Self::open_seen(config, base, (resume_at, counted), &mut |_, _| ())
+        Self::open_with_progress(config, base, (resume_at, counted), &mut |_, _| ())
     }
 
-    /// The same, which tells `seen` how many files it has looked at, and of how many.
+    /// The same, which tells `progress` how many files it has looked at, and of how many.
     ///
     /// # Errors
     /// Those of [`Playback::open`].
-    pub fn open_seen(
+    pub fn open_with_progress(
         config: &Config,
         base: &Path,
         (resume_at, counted): (u64, u64),
-        seen: &mut dyn FnMut(usize, usize),
+        progress: &mut dyn FnMut(usize, usize),
     ) -> Result<Self> {
         let path =
             config.path.as_ref().ok_or_else(|| Hinted::new("`path` is missing", "write `path = \"folder/\"`"))?;
-        let recording = Recording::open_seen(&base.join(path), config, seen)?;
-        let poses = Poses::find(&config.poses, base, &recording, seen)?;
+        let recording = Recording::open_with_progress(&base.join(path), config, progress)?;
+        let poses = Poses::find(&config.poses, base, &recording, progress)?;
         for error in recording.unreadable() {
             tracing::warn!("passed over: {error:#}");
         }
@@ -188,7 +188,7 @@ impl Playback {
             return;
         }
         let (what, camera) = (format!("{} frames", self.recording.len()), frame.camera);
-        self.described = tell_frame(&what, &frame.name, &camera, frame.depth_scale, pixels);
+        self.described = report_frame(&what, &frame.name, &camera, frame.depth_scale, pixels);
         if self.described && self.tells_camera && is_off_center(&camera) {
             tracing::warn!(
                 "the camera's principal point is at ({}, {}), far from the middle of images of {}x{}\n  hint: are \

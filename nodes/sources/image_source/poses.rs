@@ -6,7 +6,7 @@
 
 use super::config::PosesConfig;
 use super::faulty::hinted;
-use super::layout::{Seen, file_name, sorted_files};
+use super::layout::{Progress, file_name, sorted_files};
 use super::recording::{Frame, Recording};
 use super::trajectory::{self, Known, Trajectory};
 use super::tum;
@@ -42,16 +42,22 @@ pub(super) enum Poses {
 }
 
 impl Poses {
-    /// The poses that a pipeline file in `base` asks for; tells `seen` how many files it has looked at. Files that lie beside the
-    /// frames and are not of them are left alone.
+    /// The poses that a pipeline file in `base` asks for; tells `progress` how many files it has looked at. Files that lie beside
+    /// the frames and are not of them are left alone.
     ///
     /// # Errors
     /// A file cannot be read; one that was asked for does not go with the frames.
-    pub(super) fn find(config: &PosesConfig, base: &Path, recording: &Recording, seen: &mut Seen<'_>) -> Result<Self> {
-        let Some(path) = place(config, base, recording.folder(), seen)? else { return Ok(Self::Unknown) };
+    pub(super) fn find(
+        config: &PosesConfig,
+        base: &Path,
+        recording: &Recording,
+        progress: &mut Progress<'_>,
+    ) -> Result<Self> {
+        let Some(path) = place(config, base, recording.folder(), progress)? else { return Ok(Self::Unknown) };
         let named =
             |error: Error| hinted(error, trajectory::HINT).context(format!("the poses of `{}`", path.display()));
-        let poses = if path.is_dir() { Self::of_folder(&path, seen) } else { Self::of_file(&path) }.map_err(named)?;
+        let poses =
+            if path.is_dir() { Self::of_folder(&path, progress) } else { Self::of_file(&path) }.map_err(named)?;
         match poses.check(recording).map_err(named) {
             Ok(()) => {
                 tracing::info!("the camera's poses come from `{}`", path.display());
@@ -74,11 +80,11 @@ impl Poses {
     }
 
     /// A file for each frame: `*.pose.txt`, or any `*.txt` where there is none of these.
-    fn of_folder(folder: &Path, seen: &mut Seen<'_>) -> Result<Self> {
-        let paths = paths_in(folder, seen)?;
+    fn of_folder(folder: &Path, progress: &mut Progress<'_>) -> Result<Self> {
+        let paths = paths_in(folder, progress)?;
         ensure!(!paths.is_empty(), "it has no `*{OF_FRAME}`, nor any `*.txt`");
         let pose = |(number, path): (usize, &PathBuf)| {
-            seen(number, paths.len());
+            progress(number, paths.len());
             let name = file_name(path);
             let Trajectory::Single(pose) = trajectory::parse(&text_of(path)?).with_context(|| format!("`{name}`"))?
             else {
@@ -170,25 +176,30 @@ pub(super) fn paths(place: &Path) -> Vec<PathBuf> {
     if place.is_dir() { paths_in(place, &mut |_, _| ()).unwrap_or_default() } else { vec![place.to_owned()] }
 }
 
-fn paths_in(folder: &Path, seen: &mut Seen<'_>) -> Result<Vec<PathBuf>> {
-    let of_frames = files(folder, OF_FRAME, seen)?;
-    if of_frames.is_empty() { files(folder, ".txt", seen) } else { Ok(of_frames) }
+fn paths_in(folder: &Path, progress: &mut Progress<'_>) -> Result<Vec<PathBuf>> {
+    let of_frames = files(folder, OF_FRAME, progress)?;
+    if of_frames.is_empty() { files(folder, ".txt", progress) } else { Ok(of_frames) }
 }
 
 /// The file or folder of poses that a pipeline file in `base` asks for, if there is one.
-pub(super) fn place(config: &PosesConfig, base: &Path, frames: &Path, seen: &mut Seen<'_>) -> Result<Option<PathBuf>> {
+pub(super) fn place(
+    config: &PosesConfig,
+    base: &Path,
+    frames: &Path,
+    progress: &mut Progress<'_>,
+) -> Result<Option<PathBuf>> {
     match config {
         PosesConfig::None => Ok(None),
         PosesConfig::Path(path) => Ok(Some(base.join(path))),
-        PosesConfig::Auto => beside(frames, seen),
+        PosesConfig::Auto => beside(frames, progress),
     }
 }
 
 /// The file or folder of poses that lies beside the frames or above them, if there is one.
-fn beside(folder: &Path, seen: &mut Seen<'_>) -> Result<Option<PathBuf>> {
+fn beside(folder: &Path, progress: &mut Progress<'_>) -> Result<Option<PathBuf>> {
     for folder in [Some(folder), folder.parent()].into_iter().flatten() {
         // of a folder that may not be listed nothing is known
-        let mut files = |ending| files(folder, ending, seen).unwrap_or_default();
+        let mut files = |ending| files(folder, ending, progress).unwrap_or_default();
         if !files(OF_FRAME).is_empty() {
             return Ok(Some(folder.to_owned()));
         }
@@ -215,8 +226,8 @@ fn beside(folder: &Path, seen: &mut Seen<'_>) -> Result<Option<PathBuf>> {
 }
 
 /// The files of a folder whose names end so, in natural order.
-fn files(folder: &Path, ending: &str, seen: &mut Seen<'_>) -> Result<Vec<PathBuf>> {
-    sorted_files(folder, ending, seen).with_context(|| format!("`{}` cannot be listed", folder.display()))
+fn files(folder: &Path, ending: &str, progress: &mut Progress<'_>) -> Result<Vec<PathBuf>> {
+    sorted_files(folder, ending, progress).with_context(|| format!("`{}` cannot be listed", folder.display()))
 }
 
 fn text_of(path: &Path) -> Result<String> {

@@ -63,16 +63,16 @@ impl Recording {
     /// # Errors
     /// No frame can be read, frames are of different sizes, or their camera is not known.
     pub fn open(path: &Path, config: &Config) -> Result<Self> {
-        Self::open_seen(path, config, &mut |_, _| ())
+        Self::open_with_progress(path, config, &mut |_, _| ())
     }
 
-    /// The same, which tells `seen` how many files it has looked at, and of how many.
+    /// The same, which tells `progress` how many files it has looked at, and of how many.
     ///
     /// # Errors
     /// Those of [`Recording::open`].
-    pub fn open_seen(path: &Path, config: &Config, seen: &mut dyn FnMut(usize, usize)) -> Result<Self> {
+    pub fn open_with_progress(path: &Path, config: &Config, progress: &mut dyn FnMut(usize, usize)) -> Result<Self> {
         let opened = SystemTime::now();
-        let mut layout = Layout::discover(path, seen)?;
+        let mut layout = Layout::discover(path, progress)?;
         let places = (layout.frames.len() + layout.unreadable.len()) as u64;
         select(&mut layout, config)?;
         let size = common_size(&layout.frames)?;

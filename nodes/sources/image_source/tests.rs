@@ -395,8 +395,8 @@ fn the_look_at_the_files_tells_how_far_it_is() {
         Folder::new().depth(&["0.png", "1.png"]).file("0.pose.txt", matrix(0.0)).file("1.pose.txt", matrix(1.0));
     let config = Config { path: Some("frames".into()), intrinsics: Some(GIVEN), ..Config::default() };
     let mut told = Vec::new();
-    let mut seen = |seen, all| told.push((seen, all));
-    Playback::open_seen(&config, folder.path.parent().unwrap(), (0, 0), &mut seen).unwrap();
+    let mut progress = |seen, all| told.push((seen, all));
+    Playback::open_with_progress(&config, folder.path.parent().unwrap(), (0, 0), &mut progress).unwrap();
     assert_eq!(
         told,
         [(1, 4), (2, 4), (3, 4), (4, 4), (1, 2), (2, 2)],

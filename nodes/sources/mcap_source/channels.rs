@@ -1,7 +1,7 @@
 //! Which channels of a recording are played back: the depth images with what tells their camera, or a list of ours.
 
 use super::config::Config;
-use crate::recording::files::{Files, Seen};
+use crate::recording::files::{Files, SurveyedChannel};
 use crate::recording::own;
 use crate::sources::WrittenIn;
 use anyhow::{Context as _, Result, bail, ensure};
@@ -39,8 +39,8 @@ impl Chosen {
     ///
     /// # Errors
     /// Nothing does, or several do, or the camera is not known.
-    pub(super) fn of(files: &Files, channels: &[Seen], config: &Config, item: &ItemType) -> Result<Self> {
-        let own = |channel: &&Seen| is_own(channel, item);
+    pub(super) fn of(files: &Files, channels: &[SurveyedChannel], config: &Config, item: &ItemType) -> Result<Self> {
+        let own = |channel: &&SurveyedChannel| is_own(channel, item);
         if !item.is_image() {
             let fitting: Vec<_> = channels.iter().filter(own).collect();
             let chosen = choose(channels, &fitting, config, item.name())?;
@@ -66,7 +66,7 @@ impl Chosen {
 }
 
 /// What `read` makes of the first message of a channel that it can read; where it can read none, what is wrong with the very first.
-fn first_readable<T>(files: &Files, channel: &Seen, read: impl Fn(&[u8]) -> Result<T>) -> Result<T> {
+fn first_readable<T>(files: &Files, channel: &SurveyedChannel, read: impl Fn(&[u8]) -> Result<T>) -> Result<T> {
     read(&channel.first).or_else(|error| {
         let messages = files.messages_again(&[&channel.channel.topic]).map_while(Result::ok);
         messages.take(MOST_LOOKED_AT).find_map(|message| read(&message.data).ok()).ok_or(error)
@@ -74,7 +74,7 @@ fn first_readable<T>(files: &Files, channel: &Seen, read: impl Fn(&[u8]) -> Resu
 }
 
 /// A channel with the first of its images of which it can be told what they are.
-fn with_readable_image(files: &Files, channel: &Seen) -> Seen {
+fn with_readable_image(files: &Files, channel: &SurveyedChannel) -> SurveyedChannel {
     let read = |message: &[u8]| {
         if is(channel, COMPRESSED_IMAGE.name) {
             CompressedImage::read(message)?;
@@ -84,37 +84,38 @@ fn with_readable_image(files: &Files, channel: &Seen) -> Seen {
         Ok(message.to_vec())
     };
     let first = first_readable(files, channel, read);
-    Seen { first: first.unwrap_or_else(|_| channel.first.clone()), ..channel.clone() }
+    SurveyedChannel { first: first.unwrap_or_else(|_| channel.first.clone()), ..channel.clone() }
 }
 
 /// Whether conicflow has recorded such items, in whatever version.
-pub fn has_own(channels: &[Seen], item: &ItemType) -> bool {
+pub fn has_own(channels: &[SurveyedChannel], item: &ItemType) -> bool {
     channels.iter().any(|channel| is_own(channel, item))
 }
 
 /// Whether conicflow has recorded other items than these.
-pub(super) fn has_other_own(channels: &[Seen], item: &ItemType) -> bool {
-    let is_other = |channel: &&Seen| channel.channel.message_encoding == own::ENCODING && !is_own(channel, item);
+pub(super) fn has_other_own(channels: &[SurveyedChannel], item: &ItemType) -> bool {
+    let is_other =
+        |channel: &&SurveyedChannel| channel.channel.message_encoding == own::ENCODING && !is_own(channel, item);
     channels.iter().any(|channel| is_other(&channel))
 }
 
 /// Whether a channel carries our own messages with such items, of whatever version.
-fn is_own(channel: &Seen, item: &ItemType) -> bool {
+fn is_own(channel: &SurveyedChannel, item: &ItemType) -> bool {
     let schema = serde_json::from_str::<own::Schema>(own_schema(channel));
     channel.channel.message_encoding == own::ENCODING && schema.is_ok_and(|schema| schema.kind == item.name())
 }
 
 /// What a channel of ours says of its messages.
-fn own_schema(channel: &Seen) -> &str {
+fn own_schema(channel: &SurveyedChannel) -> &str {
     channel.channel.metadata.get(own::SCHEMA).map_or("", String::as_str)
 }
 
-fn is(channel: &Seen, schema: &str) -> bool {
+fn is(channel: &SurveyedChannel, schema: &str) -> bool {
     channel.channel.message_encoding == CDR && channel.schema() == schema
 }
 
 /// Whether a channel carries depth images: by their encoding; gray images of 16 bits only where their name says so.
-fn is_depth(channel: &Seen, wanted: Option<&str>) -> bool {
+fn is_depth(channel: &SurveyedChannel, wanted: Option<&str>) -> bool {
     let topic = &channel.channel.topic;
     if is(channel, COMPRESSED_IMAGE.name) {
         return CompressedImage::read(&channel.first).is_ok_and(|image| image.is_depth());
@@ -128,8 +129,8 @@ fn is_depth(channel: &Seen, wanted: Option<&str>) -> bool {
 }
 
 /// The channels but those that carry the images of another one once more, compressed.
-fn without_doubles<'a>(channels: &[&'a Seen]) -> Vec<&'a Seen> {
-    let is_double = |channel: &Seen| {
+fn without_doubles<'a>(channels: &[&'a SurveyedChannel]) -> Vec<&'a SurveyedChannel> {
+    let is_double = |channel: &SurveyedChannel| {
         let raw = channel.channel.topic.strip_suffix("/compressedDepth");
         raw.is_some_and(|raw| channels.iter().any(|other| other.channel.topic == raw))
     };
@@ -137,8 +138,13 @@ fn without_doubles<'a>(channels: &[&'a Seen]) -> Vec<&'a Seen> {
 }
 
 /// The channel that was named, in whole or but for its last part, or the only one.
-fn choose<'a>(all: &'a [Seen], fitting: &[&'a Seen], config: &Config, what: &str) -> Result<&'a Seen> {
-    let names = |channels: &[&Seen]| {
+fn choose<'a>(
+    all: &'a [SurveyedChannel],
+    fitting: &[&'a SurveyedChannel],
+    config: &Config,
+    what: &str,
+) -> Result<&'a SurveyedChannel> {
+    let names = |channels: &[&SurveyedChannel]| {
         let named = channels.iter().map(|channel| format!("`{}`", channel.channel.topic));
         named.collect::<Vec<_>>().join(", ")
     };
@@ -156,7 +162,7 @@ fn choose<'a>(all: &'a [Seen], fitting: &[&'a Seen], config: &Config, what: &str
             }
         };
     };
-    let is_wanted = |channel: &&Seen| {
+    let is_wanted = |channel: &&SurveyedChannel| {
         let rest = channel.channel.topic.strip_prefix(wanted.trim_end_matches('/'));
         rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('/') && !rest[1..].contains('/'))
     };
@@ -179,7 +185,7 @@ fn choose<'a>(all: &'a [Seen], fitting: &[&'a Seen], config: &Config, what: &str
     })
 }
 
-fn nothing_fits(all: &[Seen], what: &str) -> Hinted {
+fn nothing_fits(all: &[SurveyedChannel], what: &str) -> Hinted {
     if all.iter().any(|channel| channel.channel.message_encoding == ROS1) {
         let hint = "play them into ROS 2 and record them there, or convert the .bag by `rosbags-convert` of rosbags";
         return Hinted::new("the recording has messages of ROS 1, expected those of ROS 2", hint);
@@ -201,7 +207,7 @@ fn nothing_fits(all: &[Seen], what: &str) -> Hinted {
 }
 
 /// Of a channel of images, what these are, or why not even the first one tells.
-fn kind_of_image(channel: &Seen) -> String {
+fn kind_of_image(channel: &SurveyedChannel) -> String {
     if !is(channel, IMAGE.name) {
         return String::new();
     }
@@ -212,7 +218,12 @@ fn kind_of_image(channel: &Seen) -> String {
 }
 
 /// The camera of the images: by the parameters, or by the CameraInfo beside them, whose topic is told, too.
-fn camera(files: &Files, channels: &[Seen], images: &Seen, config: &Config) -> Result<(Camera, Option<String>)> {
+fn camera(
+    files: &Files,
+    channels: &[SurveyedChannel],
+    images: &SurveyedChannel,
+    config: &Config,
+) -> Result<(Camera, Option<String>)> {
     let topic = &images.channel.topic;
     let size = first_readable(files, images, |message| size_of(images, message));
     let size = size.with_context(|| format!("the first image of `{topic}`"))?;
@@ -284,7 +295,7 @@ fn uncalibrated(name: &str, written_in: WrittenIn) -> Hinted {
 }
 
 /// Width and height of an image of a channel.
-fn size_of(images: &Seen, message: &[u8]) -> Result<(u32, u32)> {
+fn size_of(images: &SurveyedChannel, message: &[u8]) -> Result<(u32, u32)> {
     if is(images, COMPRESSED_IMAGE.name) {
         return Ok(CompressedImage::read(message)?.depths()?.0);
     }

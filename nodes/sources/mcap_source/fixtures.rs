@@ -77,9 +77,9 @@ pub(super) fn usual(compression: Option<Compression>) -> Vec<u8> {
     Foreign::new(compression).info(INFO).images(IMAGES, 0..5).bytes()
 }
 
-pub(super) struct Place(pub(super) tempfile::TempDir);
+pub(super) struct RecordingFolder(pub(super) tempfile::TempDir);
 
-impl Place {
+impl RecordingFolder {
     pub(super) fn of(bytes: &[u8]) -> Self {
         let place = Self(tempfile::tempdir().unwrap());
         fs::write(place.0.path().join("run.mcap"), bytes).unwrap();
@@ -105,7 +105,7 @@ pub(super) fn all(replay: &mut Replay) -> anyhow::Result<Vec<(Header, Vec<u16>)>
 }
 
 pub(super) fn play(bytes: &[u8], config: Config) -> anyhow::Result<Vec<(Header, Vec<u16>)>> {
-    Place::of(bytes).play(config)
+    RecordingFolder::of(bytes).play(config)
 }
 
 pub(super) fn told(bytes: &[u8], config: Config) -> String {

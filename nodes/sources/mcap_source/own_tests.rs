@@ -19,7 +19,7 @@ use std::time::{Duration, Instant};
 #[test]
 fn what_conicflow_records_comes_back_to_the_bit() {
     for depth_scale in [0.001, 0.0002, 0.000_25, 0.000_123_456_7] {
-        let place = Place(tempfile::tempdir().unwrap());
+        let place = RecordingFolder(tempfile::tempdir().unwrap());
         record(&place.0.path().join("run.mcap"), Limits::default(), depth_scale, 0..3);
         let frames = place.play(Config::default()).unwrap();
         assert_eq!(frames.len(), 3);
@@ -79,7 +79,7 @@ fn what_a_killed_recorder_has_written_is_there_after_a_second() {
         assert!(Instant::now() < deadline, "it never came into the file");
         std::thread::yield_now();
     }
-    let copy = Place::of(&fs::read(&path).unwrap());
+    let copy = RecordingFolder::of(&fs::read(&path).unwrap());
     assert_eq!(copy.play(Config::default()).unwrap(), [(replayed(header), ANY.to_vec())]);
 }
 
@@ -222,7 +222,7 @@ fn what_a_lossless_sink_has_taken_is_in_the_file() {
         let mut sink = McapSink::<u16>::new(config(), &Context { base, delivery, ..Context::default() }).unwrap();
         let counts = (0..3).map(|number| {
             step(&mut sink, &(header(number, 0.001), ANY.to_vec()), &SideInputs::default()).unwrap();
-            let copy = Place::of(&fs::read(place.path().join("run.mcap")).unwrap());
+            let copy = RecordingFolder::of(&fs::read(place.path().join("run.mcap")).unwrap());
             copy.play(Config::default()).map_or(0, |frames| frames.len())
         });
         counts.collect::<Vec<_>>()
@@ -264,7 +264,7 @@ fn own_headers_of_another_version_are_refused() {
     let channel_id = file.0.add_channel(0, "/left/objects/message", own::ENCODING, &schema).unwrap();
     let message = MessageHeader { channel_id, sequence: 0, log_time: 0, publish_time: 0 };
     file.0.write_to_known_channel(&message, &[0; 900]).unwrap();
-    let place = Place::of(&file.bytes());
+    let place = RecordingFolder::of(&file.bytes());
     let config = Config { path: Some("run.mcap".into()), ..Config::default() };
     let told = format!("{:#}", Replay::open(&config, place.0.path(), &BUILT_IN[2]).err().unwrap());
     assert!(

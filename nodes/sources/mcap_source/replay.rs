@@ -2,11 +2,11 @@
 
 use super::channels::{Chosen, camera_by, read_info};
 use super::config::Config;
-use crate::recording::files::{Files, Messages, Seen};
+use crate::recording::files::{Files, Messages, SurveyedChannel};
 use crate::recording::own;
 use crate::sources::image_source::USUAL_RATE_HZ;
 use anyhow::{Context as _, Error, Result, bail, ensure};
-use conicflow_dataflow::{EmptyFrames, ItemType, Stop, TOO_FAR, tell_frame};
+use conicflow_dataflow::{EmptyFrames, ItemType, Stop, TOO_FAR, report_frame};
 use conicflow_messages::{Camera, Header, Hinted, Hop, INVALID_FAR, INVALID_NEAR, Item, MAX_HOPS, RECORDED, Text};
 use conicflow_ros::{CameraInfo, CompressedImage, Depths, Image, Stamped, TF_MESSAGE, Transforms, Units};
 use mcap::Message;
@@ -128,7 +128,7 @@ impl Replay {
 
     /// Takes in all that is told of frames of coordinates, in which `world` has to be one; what makes no sense is counted where that
     /// was not done before.
-    fn learn_transforms(&mut self, channels: &[Seen], world: &str, is_counted: bool) -> Result<()> {
+    fn learn_transforms(&mut self, channels: &[SurveyedChannel], world: &str, is_counted: bool) -> Result<()> {
         let of_transforms = channels.iter().filter(|channel| channel.schema() == TF_MESSAGE.name);
         let topics: Vec<_> = of_transforms.map(|channel| channel.channel.topic.as_str()).collect();
         let mut transforms = Transforms::default();
@@ -379,7 +379,7 @@ impl Replay {
     fn tell(&mut self, replayed: &Replayed) {
         let Header { camera, depth_scale, .. } = &replayed.header;
         let pixels = || replayed.items_as::<u16>();
-        let tell = || tell_frame("frames", self.chosen.topics()[0], camera, *depth_scale, &pixels());
+        let tell = || report_frame("frames", self.chosen.topics()[0], camera, *depth_scale, &pixels());
         self.is_told = self.is_told || tell();
     }
 }

@@ -124,7 +124,7 @@ fn a_damaged_chunk_is_left_out_and_counted() {
             let mut damaged = file.clone();
             // All of it but its head, so that lz4 fails and not the check sum alone.
             damaged[chunk.start + 70..chunk.end].iter_mut().for_each(|byte| *byte = !*byte);
-            let place = Place::of(&damaged);
+            let place = RecordingFolder::of(&damaged);
             let mut replay = place.open(Config::default()).unwrap();
             let frames = all(&mut replay).unwrap();
             let stamps: Vec<_> = frames.iter().map(|(header, _)| header.stamp_ns).collect();
@@ -148,7 +148,7 @@ fn a_chunk_that_its_check_sum_alone_shows_to_be_damaged_is_left_out_wherever_one
     let image = write_units(stamped(3), SIZE, &pixels(3), Vec::new());
     let at = damaged.windows(image.len()).position(|bytes| bytes == image).unwrap();
     damaged[at + image.len() - 1] ^= 1;
-    let place = Place::of(&damaged);
+    let place = RecordingFolder::of(&damaged);
     let mut replay = place.open(Config::default()).unwrap();
     for from in [None, Some(0), Some(2), Some(3)] {
         if let Some(from) = from {
@@ -192,7 +192,7 @@ fn what_is_damaged_is_an_error_or_the_end_and_never_a_panic() {
                 let at = random.usize(..damaged.len());
                 damaged[at] = random.u8(..);
             }
-            let place = Place::of(&damaged);
+            let place = RecordingFolder::of(&damaged);
             let played = place.open(Config::default()).and_then(|mut replay| {
                 let frames = all(&mut replay)?;
                 replay.seek(stamp_ns(2));
@@ -223,7 +223,7 @@ fn what_is_too_far_away_is_counted() {
     let far = |z: f32| write_metres(stamped(0), SIZE, [z; 12].into_iter(), Vec::new());
     let half = write_metres(stamped(0), SIZE, (0..12).map(|pixel| 2.8 * pixel as f32), Vec::new());
     let file = Foreign::new(None).info(INFO).put(IMAGES, IMAGE, 0, &half).put(IMAGES, IMAGE, 1, &far(1500.0)).bytes();
-    let place = Place::of(&file);
+    let place = RecordingFolder::of(&file);
     let mut replay = place.open(Config::default()).unwrap();
     let frames = all(&mut replay).unwrap();
     assert_eq!(frames[0].1[..7], [0, 11_200, 22_400, 33_600, 44_800, 56_000, 0], "16.38 m at most");
@@ -289,7 +289,7 @@ fn of_several_topics_one_has_to_be_named() {
 #[test]
 fn what_a_recording_cannot_play_is_known_before_it_is_played() {
     let faults = |bytes: &[u8], config: Config| {
-        let place = Place::of(bytes);
+        let place = RecordingFolder::of(bytes);
         let faults = Config { path: Some("run.mcap".into()), ..config }.faults(place.0.path());
         faults.into_iter().map(|fault| format!("`{}`: {}\n  hint: {}", fault.key, fault.what, fault.hint)).collect()
     };
@@ -301,7 +301,7 @@ fn what_a_recording_cannot_play_is_known_before_it_is_played() {
     let named: Vec<String> = faults(&two, topic(IMAGES));
     assert!(named.is_empty(), "{named:?}");
     // It may be that its lists are to be played.
-    let place = Place(tempfile::tempdir().unwrap());
+    let place = RecordingFolder(tempfile::tempdir().unwrap());
     record(&place.0.path().join("run.mcap"), Limits::default(), 0.001, 0..2);
     let own =
         Config { path: Some("run.mcap".into()), topic: Some("/left/objects/message".into()), ..Config::default() };
@@ -398,7 +398,7 @@ fn an_image_that_cannot_be_read_is_passed_over_and_counted() {
     let mut file = Foreign::new(None);
     file.info(INFO).images(IMAGES, 0..2).put(IMAGES, IMAGE, 2, &[0, 1, 0, 0, 9]);
     file.put(IMAGES, IMAGE, 3, &write_units(stamped(3), (3, 4), &pixels(3), Vec::new())).images(IMAGES, 4..5);
-    let place = Place::of(&file.bytes());
+    let place = RecordingFolder::of(&file.bytes());
     let mut replay = place.open(Config::default()).unwrap();
     let stamps: Vec<_> = all(&mut replay).unwrap().iter().map(|(header, _)| header.stamp_ns).collect();
     assert_eq!(stamps, [0, 1, 4].map(stamp_ns));
@@ -414,7 +414,7 @@ fn what_cannot_be_read_at_the_beginning_is_passed_over_and_counted() {
     let unready = CameraInfo::write(stamped(0), &none, Vec::new());
     let cut = &write_units(stamped(0), SIZE, &pixels(0), Vec::new())[..60];
     let counted = |file: &[u8], config: Config| {
-        let place = Place::of(file);
+        let place = RecordingFolder::of(file);
         let mut replay = place.open(config).unwrap();
         let stamps: Vec<_> = all(&mut replay).unwrap().iter().map(|(header, _)| header.stamp_ns).collect();
         assert_eq!(stamps, [1, 2].map(stamp_ns));
@@ -453,7 +453,7 @@ fn a_camera_that_changes_is_followed() {
         file.put(IMAGES, IMAGE, frame, &write_units(stamped(frame), (6, 2), &pixels(frame), Vec::new()));
         file.put(INFO, CAMERA_INFO, frame, &info(&small));
     }
-    let place = Place::of(&file.bytes());
+    let place = RecordingFolder::of(&file.bytes());
     let mut replay = place.open(Config { repeat: true, ..Config::default() }).unwrap();
     for _ in 0..2 {
         let cameras: Vec<_> = (0..5).map(|_| replay.next_message().unwrap().unwrap().header.camera).collect();
@@ -472,7 +472,7 @@ fn a_transform_that_makes_no_sense_is_passed_over_and_counted() {
     let wrong = write_transform(Stamped { stamp_ns: 0, frame_id: "map" }, "arm", &[[f64::NAN; 4]; 3], Vec::new());
     let mut file = Foreign::new(None);
     file.info(INFO).put("/tf", TF_MESSAGE, 0, &wrong).put("/tf", TF_MESSAGE, 0, &[0; 3]);
-    let place = Place::of(&file.put("/tf_static", TF_MESSAGE, 0, &fixed).images(IMAGES, 0..2).bytes());
+    let place = RecordingFolder::of(&file.put("/tf_static", TF_MESSAGE, 0, &fixed).images(IMAGES, 0..2).bytes());
     let config = Config { world: Some("map".to_owned()), path: Some("run.mcap".into()), ..Config::default() };
     let mut replay = place.open(config.clone()).unwrap();
     assert!(all(&mut replay).unwrap().iter().all(|(header, _)| header.pose() == Some(&pose)));
@@ -487,7 +487,7 @@ fn a_file_whose_end_does_not_tell_all_its_topics_is_read_on() {
     let complete = || mcap::WriteOptions::new().compression(None).chunk_size(Some(300));
     for options in [complete().repeat_channels(false), complete().repeat_channels(false).repeat_schemas(false)] {
         let mut file = Foreign(mcap::Writer::with_options(std::io::Cursor::new(Vec::new()), options).unwrap());
-        let place = Place::of(&file.info(INFO).images(IMAGES, 0..5).bytes());
+        let place = RecordingFolder::of(&file.info(INFO).images(IMAGES, 0..5).bytes());
         let mut replay = place.open(Config::default()).unwrap();
         assert_eq!(all(&mut replay).unwrap(), whole);
         replay.seek(stamp_ns(3));
@@ -505,7 +505,7 @@ fn poses_come_from_tf_where_they_are_asked_for() {
     let mut file = Foreign::new(None);
     file.info(INFO).images(IMAGES, 0..4).put("/tf_static", TF_MESSAGE, 0, &fixed);
     file.put("/tf", TF_MESSAGE, 1, &moved(0, 1.0)).put("/tf", TF_MESSAGE, 2, &moved(2, 3.0));
-    let place = Place::of(&file.bytes());
+    let place = RecordingFolder::of(&file.bytes());
     let mut replay = place.open(Config { world: Some("map".to_owned()), ..Config::default() }).unwrap();
     let x: Vec<_> = all(&mut replay).unwrap().iter().map(|(header, _)| header.pose().map(|pose| pose[0][3])).collect();
     assert_eq!(x, [Some(1.5), Some(2.5), Some(3.5), None]);
@@ -528,7 +528,7 @@ fn of_a_part_no_more_is_read_than_is_needed() {
     ] {
         let mut bytes = file.clone();
         bytes[damaged.start + 70..damaged.end].iter_mut().for_each(|byte| *byte = !*byte);
-        let place = Place::of(&bytes);
+        let place = RecordingFolder::of(&bytes);
         let mut replay = place.open(Config { repeat: true, ..part }).unwrap();
         for round in 0..2 {
             let frames = expected.iter().map(|_| replay.next_message().unwrap().unwrap());
@@ -541,7 +541,7 @@ fn of_a_part_no_more_is_read_than_is_needed() {
 
 #[test]
 fn a_part_is_played_and_played_again() {
-    let place = Place::of(&usual(None));
+    let place = RecordingFolder::of(&usual(None));
     let part = Config { from_s: 0.1, to_s: Some(0.35), ..Config::default() };
     let stamps = |frames: &[(Header, Vec<u16>)]| {
         frames.iter().map(|(header, _)| (header.sequence, (header.stamp_ns - BEGIN_NS) / 1_000_000)).collect::<Vec<_>>()
@@ -558,7 +558,7 @@ fn a_part_is_played_and_played_again() {
         for frame in frames {
             file.images(IMAGES, *frame..frame + 1);
         }
-        let place = Place::of(&file.bytes());
+        let place = RecordingFolder::of(&file.bytes());
         let mut replay = place.open(Config { repeat: true, ..Config::default() }).unwrap();
         let headers = (0..count).map(|_| replay.next_message().unwrap().unwrap().header);
         headers.map(|header| (header.sequence, (header.stamp_ns - BEGIN_NS) / 1_000_000)).collect::<Vec<_>>()
@@ -574,7 +574,7 @@ fn a_part_is_played_and_played_again() {
 
 #[test]
 fn a_folder_is_played_in_natural_order_and_other_formats_tell_how_they_are_converted() {
-    let place = Place(tempfile::tempdir().unwrap());
+    let place = RecordingFolder(tempfile::tempdir().unwrap());
     let folder = place.0.path().join("bag");
     fs::create_dir(&folder).unwrap();
     fs::write(folder.join("metadata.yaml"), "").unwrap();

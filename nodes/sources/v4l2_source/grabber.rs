@@ -13,7 +13,7 @@ const UNREADABLE: &str = "frames unreadable";
 const OPENED: &str = "camera opened anew";
 
 /// So long is waited for an image before it is looked around.
-const LOOK: Duration = Duration::from_millis(50);
+const IMAGE_TIMEOUT: Duration = Duration::from_millis(50);
 /// How often is tried to open a device that is not there.
 const TRY_AGAIN: Duration = Duration::from_secs(1);
 
@@ -33,7 +33,7 @@ pub struct Wanted {
 }
 
 /// Where an image goes, and what is counted.
-pub trait Place {
+pub trait ImageOutput {
     /// Memory for so many pixels.
     ///
     /// # Errors
@@ -44,7 +44,7 @@ pub trait Place {
     fn count(&mut self, name: &'static str);
 }
 
-impl Place for Output<'_, u16> {
+impl ImageOutput for Output<'_, u16> {
     fn image(&mut self, pixels: usize) -> Result<&mut [u16], StageError> {
         Output::image(self, pixels)
     }
@@ -89,13 +89,13 @@ impl<D: Driver> Grabber<D> {
     ///
     /// # Errors
     /// There is no memory, or the device cannot send what is asked for.
-    pub fn next(&mut self, place: &mut dyn Place) -> Result<Option<Layout>, StageError> {
+    pub fn next(&mut self, output: &mut dyn ImageOutput) -> Result<Option<Layout>, StageError> {
         // That the pipeline had no room is no silence of the camera.
         self.heard = Instant::now();
         while !self.stop.requested() {
             if self.opened.is_none() {
-                self.open(place)?;
-            } else if let Some(layout) = self.take(place)? {
+                self.open(output)?;
+            } else if let Some(layout) = self.take(output)? {
                 return Ok(Some(layout));
             }
         }
@@ -112,10 +112,10 @@ impl<D: Driver> Grabber<D> {
         self.median
     }
 
-    fn open(&mut self, place: &mut dyn Place) -> Result<(), StageError> {
+    fn open(&mut self, output: &mut dyn ImageOutput) -> Result<(), StageError> {
         let left = self.due.saturating_duration_since(Instant::now());
         if !left.is_zero() {
-            std::thread::sleep(left.min(LOOK));
+            std::thread::sleep(left.min(IMAGE_TIMEOUT));
             return Ok(());
         }
         self.due = Instant::now() + self.try_again;
@@ -125,7 +125,7 @@ impl<D: Driver> Grabber<D> {
                 let (path, word) = (found.path.display(), format.word());
                 tracing::info!("`{path}` ({}): images of {width}x{height}, {word}", found.name);
                 if self.has_opened {
-                    place.count(OPENED);
+                    output.count(OPENED);
                 }
                 (self.opened, self.has_opened, self.heard) = (Some(opened), true, Instant::now());
                 Ok(())
@@ -208,12 +208,12 @@ impl<D: Driver> Grabber<D> {
     }
 
     /// Takes an image, if one comes soon.
-    fn take(&mut self, place: &mut dyn Place) -> Result<Option<Layout>, StageError> {
+    fn take(&mut self, output: &mut dyn ImageOutput) -> Result<Option<Layout>, StageError> {
         let Some(Opened { found, layout, stream }) = &mut self.opened else { return Ok(None) };
         let (layout, name) = (*layout, found.name.clone());
         let (mut result, median) = (Ok(Ok(())), &mut self.median);
-        let came = stream.next(LOOK, &mut |buffer, is_damaged| {
-            result = place.image(layout.pixels()).map(|image| match layout.unpack(buffer, image) {
+        let came = stream.next(IMAGE_TIMEOUT, &mut |buffer, is_damaged| {
+            result = output.image(layout.pixels()).map(|image| match layout.unpack(buffer, image) {
                 Ok(()) if is_damaged => Err("an image that its driver calls damaged".to_owned()),
                 Ok(()) => {
                     *median = median.or_else(|| median_depth(image));
@@ -238,7 +238,7 @@ impl<D: Driver> Grabber<D> {
                         return Ok(Some(layout));
                     }
                     Err(fault) => {
-                        place.count(UNREADABLE);
+                        output.count(UNREADABLE);
                         self.warn(&format!("{name} sends {fault}; it is passed over"));
                     }
                 }

@@ -112,7 +112,7 @@ struct Images {
     counted: BTreeMap<&'static str, u64>,
 }
 
-impl Place for Images {
+impl ImageOutput for Images {
     fn image(&mut self, pixels: usize) -> Result<&mut [u16], StageError> {
         self.image = vec![9999; pixels];
         Ok(&mut self.image)
@@ -138,13 +138,13 @@ fn play(wanted: Wanted, attempts: Vec<Attempt>) -> Outcome {
     let script = Script { attempts: Rc::new(RefCell::new(attempts.into())), ..Script::default() };
     let mut grabber = Grabber::new(script.clone(), wanted, script.stop.clone());
     grabber.try_again = Duration::from_millis(1);
-    let (mut place, mut images, mut refused) = (Images::default(), Vec::new(), None);
+    let (mut output, mut images, mut refused) = (Images::default(), Vec::new(), None);
     loop {
-        match grabber.next(&mut place) {
+        match grabber.next(&mut output) {
             Ok(Some(layout)) => {
-                assert_eq!(layout.pixels(), place.image.len());
-                assert!(place.image.iter().all(|pixel| *pixel == place.image[0]), "{:?}", place.image);
-                images.push((place.image.len(), place.image[0]));
+                assert_eq!(layout.pixels(), output.image.len());
+                assert!(output.image.iter().all(|pixel| *pixel == output.image[0]), "{:?}", output.image);
+                images.push((output.image.len(), output.image[0]));
             }
             Ok(None) => break,
             Err(error) => {
@@ -154,7 +154,7 @@ fn play(wanted: Wanted, attempts: Vec<Attempt>) -> Outcome {
         }
     }
     let asked = script.asked.borrow().clone();
-    Outcome { images, counted: place.counted, asked, told: grabber.told, refused }
+    Outcome { images, counted: output.counted, asked, told: grabber.told, refused }
 }
 
 fn patient() -> Wanted {
@@ -205,12 +205,12 @@ fn a_pipeline_without_room_is_no_stall() {
     script.attempts.borrow_mut().push_back(device(&[Event::Image(1), Event::Silence, Event::Image(2)]));
     let wanted = Wanted { stall: Duration::from_secs(60), ..Wanted::default() };
     let mut grabber = Grabber::new(script.clone(), wanted, script.stop.clone());
-    let mut place = Images::default();
-    grabber.next(&mut place).unwrap().unwrap();
+    let mut output = Images::default();
+    grabber.next(&mut output).unwrap().unwrap();
     grabber.heard -= Duration::from_secs(3600);
-    grabber.next(&mut place).unwrap().unwrap();
-    assert_eq!(place.image[0], 2);
-    assert!(place.counted.is_empty());
+    grabber.next(&mut output).unwrap().unwrap();
+    assert_eq!(output.image[0], 2);
+    assert!(output.counted.is_empty());
 }
 
 #[test]

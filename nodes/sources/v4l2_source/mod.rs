@@ -11,7 +11,7 @@ pub use device::{Driver, Found, LinuxVideo, Mode, Stream};
 pub use format::{DepthFormat, Layout};
 
 use crate::faults::one_of_two;
-use conicflow_dataflow::{ConfigFault, Context, Next, Output, SideInputs, Source, StageError, tell_median, unix_ns};
+use conicflow_dataflow::{ConfigFault, Context, Next, Output, SideInputs, Source, StageError, report_median, unix_ns};
 use conicflow_detection::camera::Intrinsics;
 use conicflow_detection::noise::NoiseConfig;
 use conicflow_messages::{Camera, Header, NoiseModel, Text};
@@ -164,7 +164,7 @@ impl Source for V4l2Source {
         {
             self.is_told = true;
             let median_m = f64::from(median) * self.config.depth_scale;
-            tell_median("images", self.grabber.name(), &output.header.camera, median_m);
+            report_median("images", self.grabber.name(), &output.header.camera, median_m);
         }
         Ok(Next::Message)
     }

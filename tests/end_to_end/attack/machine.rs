@@ -2,7 +2,7 @@
 
 use super::round::Victim;
 use crate::processes::{files_in_shared_memory, shared_files, stages_of, wait_for_shared_memory};
-use crate::support::{Ended, LOOK, Playground, Started, TRACKING, signal, wait_until};
+use crate::support::{CHECK_PERIOD, Ended, Playground, Started, TRACKING, signal, wait_until};
 use rustix::process::Signal;
 use std::fs;
 use std::time::{Duration, Instant};
@@ -110,7 +110,7 @@ impl Machine {
     pub fn wake_all(&mut self) {
         while !self.stopped.is_empty() {
             self.settle();
-            std::thread::sleep(LOOK);
+            std::thread::sleep(CHECK_PERIOD);
         }
     }
 

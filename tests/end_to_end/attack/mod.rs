@@ -12,7 +12,7 @@ mod machine;
 mod round;
 
 use super::routers::session;
-use super::support::{Ended, LOOK, TRACKING_TOPICS, wait_until};
+use super::support::{CHECK_PERIOD, Ended, TRACKING_TOPICS, wait_until};
 use machine::Machine;
 use round::{Blow, Round, Whole};
 use rustix::process::Signal;
@@ -99,7 +99,7 @@ fn attack(mut round: Round) -> Result<String, String> {
         while machines[last].lines() < after && machines.iter_mut().all(Machine::is_running) {
             machines.iter_mut().for_each(Machine::settle);
             expect_no_standstill(begun, &machines)?;
-            std::thread::sleep(LOOK);
+            std::thread::sleep(CHECK_PERIOD);
         }
         let begins_again = matches!(blow, Blow::Again(..));
         if begins_again && !machines.iter_mut().all(Machine::is_running) {
@@ -157,7 +157,7 @@ fn finish(round: &Round, begun: Instant, machines: &mut [Machine]) -> Result<boo
         }
         machines.iter_mut().for_each(Machine::settle);
         expect_no_standstill(begun, machines)?;
-        std::thread::sleep(LOOK);
+        std::thread::sleep(CHECK_PERIOD);
     }
     Ok(was_told || was_cut)
 }

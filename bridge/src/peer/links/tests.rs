@@ -157,7 +157,7 @@ fn an_edge_is_finished_when_both_ends_know_it_also_to_those_who_are_started_anew
 
 /// Lets it be long ago that a peer was heard.
 fn fall_silent(links: &Links, peer: &str) {
-    lock(&links.peers).get_mut(peer).unwrap().heard = Instant::now().checked_sub(SILENCE);
+    lock(&links.peers).get_mut(peer).unwrap().heard = Instant::now().checked_sub(DISCONNECTED_AFTER);
 }
 
 /// The runs of which a bridge was told that there are two.
@@ -182,7 +182,7 @@ fn of_two_runs_of_a_machine_the_first_counts_while_it_is_heard_and_they_are_told
     for robot in [&first, &second] {
         let mut peers = lock(&robot.peers);
         let proved_ns = &mut peers.get_mut("base").unwrap().proved_ns[1];
-        *proved_ns = proved_ns.saturating_sub(2 * PATIENCE.as_nanos() as u64);
+        *proved_ns = proved_ns.saturating_sub(2 * REPORT_MISSING_AFTER.as_nanos() as u64);
     }
     talk(&second, &base);
     talk(&first, &base);
@@ -352,7 +352,10 @@ fn the_quickest_exchange_of_heartbeats_tells_round_trip_and_clock() {
 fn a_machine_is_connected_until_it_has_been_silent_for_long() {
     let heard = Instant::now();
     let peer = Peer { heard: Some(heard), ..Peer::default() };
-    assert!(is_connected(&peer, heard + SILENCE - Duration::from_nanos(1)) && !is_connected(&peer, heard + SILENCE));
+    assert!(
+        is_connected(&peer, heard + DISCONNECTED_AFTER - Duration::from_nanos(1))
+            && !is_connected(&peer, heard + DISCONNECTED_AFTER)
+    );
 }
 
 #[test]
@@ -364,11 +367,11 @@ fn a_machine_that_has_not_come_after_a_while_is_missed_unless_it_was_heard_or_re
         links.look();
         lock(&links.peers)["base"].missed
     };
-    assert!(is_missed(2 * PATIENCE, Peer::default()) && !is_missed(Duration::ZERO, Peer::default()));
-    assert!(!is_missed(2 * PATIENCE, Peer { heard: Some(Instant::now()), ..Peer::default() }));
+    assert!(is_missed(2 * REPORT_MISSING_AFTER, Peer::default()) && !is_missed(Duration::ZERO, Peer::default()));
+    assert!(!is_missed(2 * REPORT_MISSING_AFTER, Peer { heard: Some(Instant::now()), ..Peer::default() }));
     let mut refused = Peer::default();
     refuse("base", &mut refused, &WireError::WrongCode);
-    assert!(!is_missed(2 * PATIENCE, refused));
+    assert!(!is_missed(2 * REPORT_MISSING_AFTER, refused));
 }
 
 #[test]
@@ -378,7 +381,7 @@ fn a_machine_is_shown_as_refused_as_long_as_what_comes_in_its_name_is() {
     assert!(!is_refused());
     refuse("base", lock(&links.peers).get_mut("base").unwrap(), &WireError::WrongCode);
     assert!(is_refused());
-    lock(&links.peers).get_mut("base").unwrap().refused_at = Instant::now().checked_sub(SILENCE);
+    lock(&links.peers).get_mut("base").unwrap().refused_at = Instant::now().checked_sub(DISCONNECTED_AFTER);
     assert!(!is_refused());
 }
 

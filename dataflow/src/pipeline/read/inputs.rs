@@ -1,7 +1,7 @@
 //! The inputs of a stage in a pipeline file.
 
 use super::Reader;
-use crate::pipeline::diagnostic::{Place, suggestion};
+use crate::pipeline::diagnostic::{SourceSpan, suggestion};
 use crate::pipeline::machine::Compression;
 use crate::pipeline::spec::{Input, Program};
 use crate::pipeline::value::{Content, Entry, Table, Value};
@@ -53,7 +53,7 @@ impl Reader<'_> {
         Some(Input { topic, delivery, queue, kind, compression, place })
     }
 
-    fn long_input(&mut self, mut table: Table, place: &Place) -> Option<SaidInput> {
+    fn long_input(&mut self, mut table: Table, place: &SourceSpan) -> Option<SaidInput> {
         let topic = table.take("topic").and_then(|entry| self.string(&entry));
         let delivery = table.take("delivery").and_then(|entry| self.word(&entry, DELIVERIES));
         let queue = table.take("queue").and_then(|entry| self.queue(&entry));

@@ -2,7 +2,7 @@
 
 use super::Reader;
 use crate::item_type::{BUILT_IN, ItemType};
-use crate::pipeline::diagnostic::Place;
+use crate::pipeline::diagnostic::SourceSpan;
 use crate::pipeline::value::{Content, Entry};
 use conicflow_messages::{AnyByte, Item, LINE_KEYS, Layout, Nothing};
 use std::ops::RangeInclusive;
@@ -91,7 +91,7 @@ impl Reader<'_> {
             Err(fault) => fault,
         };
         let place = table.0.get(fault.field).map_or(&whole, |entry| &entry.value.place);
-        self.fault(&Place::clone(place), fault.what, fault.hint);
+        self.fault(&SourceSpan::clone(place), fault.what, fault.hint);
         None
     }
 

@@ -2,7 +2,7 @@
 
 use super::{MAX_STAGE_NAME, Reader};
 use crate::network::{NO_NETWORK, NO_NETWORK_HINT};
-use crate::pipeline::diagnostic::{Diagnostic, Place};
+use crate::pipeline::diagnostic::{Diagnostic, SourceSpan};
 use crate::pipeline::machine::Machine;
 use crate::pipeline::value::Entry;
 use conicflow_messages::Hinted;
@@ -27,7 +27,7 @@ impl Reader<'_> {
     }
 
     /// What a machine with a key sends, one without does not take, and the other way round.
-    fn check_keys(&mut self, machines: &BTreeMap<String, Machine>, places: &[(String, Place)]) {
+    fn check_keys(&mut self, machines: &BTreeMap<String, Machine>, places: &[(String, SourceSpan)]) {
         let Some((with, _)) = machines.iter().find(|(_, machine)| machine.key.is_some()) else { return };
         let without = |name: &str| machines.get(name).is_some_and(|machine| machine.key.is_none());
         for (name, place) in places.iter().filter(|(name, _)| without(name)) {

@@ -6,7 +6,7 @@ pub(super) mod machines;
 pub(super) mod metrics;
 pub(super) mod stages;
 
-use super::diagnostic::{Diagnostic, Place, SourceText, closest, suggestion};
+use super::diagnostic::{Diagnostic, SourceSpan, SourceText, closest, suggestion};
 use super::spec::Pipeline;
 use super::value::{Content, Entry, Table};
 use crate::item_type::{BUILT_IN, ItemType};
@@ -28,7 +28,7 @@ pub(super) fn pipeline(
     context: &ReadContext<'_>,
     faults: &mut Vec<Diagnostic>,
 ) -> Pipeline {
-    let start = Place { source: Arc::clone(source), span: 0..0 };
+    let start = SourceSpan { source: Arc::clone(source), span: 0..0 };
     let mut reader = Reader { context, elsewhere: false, items: Vec::new(), faults };
     let name = reader.name(&mut document, &start);
     reader.items = document.take("item").map(|entry| reader.items(entry)).unwrap_or_default();
@@ -70,7 +70,7 @@ impl Reader<'_> {
         self.elsewhere = self.context.machine.is_some() && self.context.machine != machine;
     }
 
-    fn fault(&mut self, place: &Place, what: impl Into<String>, hint: impl Into<String>) {
+    fn fault(&mut self, place: &SourceSpan, what: impl Into<String>, hint: impl Into<String>) {
         self.faults.push(Diagnostic::error(place, what, hint));
     }
 
@@ -160,7 +160,7 @@ impl Reader<'_> {
     }
 
     /// A name that can stand in paths, ports and JSON.
-    fn check_name(&mut self, name: &str, place: &Place, what: &str, longest: usize, allowed: &str) {
+    fn check_name(&mut self, name: &str, place: &SourceSpan, what: &str, longest: usize, allowed: &str) {
         let good = |c: char| c.is_ascii_alphanumeric() || allowed.contains(c);
         if name.is_empty() || name.len() > longest || !name.chars().all(good) {
             let hint = format!("1 to {longest} letters, digits or one of {allowed}");
@@ -168,7 +168,7 @@ impl Reader<'_> {
         }
     }
 
-    fn name(&mut self, document: &mut Table, start: &Place) -> String {
+    fn name(&mut self, document: &mut Table, start: &SourceSpan) -> String {
         let Some(entry) = document.take("name") else {
             if !is_misspelt("name", document) {
                 self.fault(start, "the pipeline has no name", "add a line such as name = \"tabletop\" at the top");
@@ -180,7 +180,7 @@ impl Reader<'_> {
         name
     }
 
-    fn no_stages(&mut self, document: &Table, start: &Place) {
+    fn no_stages(&mut self, document: &Table, start: &SourceSpan) {
         if !is_misspelt("stage", document) {
             let hint = "add one, such as [stage.source] with `node` and `output`";
             self.fault(start, "the pipeline has no stages", hint);

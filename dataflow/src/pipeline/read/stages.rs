@@ -3,7 +3,7 @@
 use super::{MAX_STAGE_NAME, MAX_TOPIC_NAME, Reader};
 use crate::log::LOG;
 use crate::node::Variables;
-use crate::pipeline::diagnostic::{Place, closest, suggestion};
+use crate::pipeline::diagnostic::{SourceSpan, closest, suggestion};
 use crate::pipeline::schema;
 use crate::pipeline::spec::{Program, Restart, StageSpec};
 use crate::pipeline::value::{Content, Entry, Table};
@@ -94,7 +94,7 @@ impl Reader<'_> {
         (when, hang_s, join_s)
     }
 
-    fn program(&mut self, table: &mut Table, stage: &str, place: &Place) -> Program {
+    fn program(&mut self, table: &mut Table, stage: &str, place: &SourceSpan) -> Program {
         match (table.take("node"), table.take("program")) {
             (Some(node), None) => self.node(&node),
             (None, Some(program)) => self.command(&program),
@@ -200,7 +200,7 @@ impl Reader<'_> {
     }
 
     /// Checks the keys that are left: those of the node; what it makes of their values only where it runs.
-    fn parameters(&mut self, table: &Table, program: &Program, stage: &str, place: &Place, env: &Variables) {
+    fn parameters(&mut self, table: &Table, program: &Program, stage: &str, place: &SourceSpan, env: &Variables) {
         let Program::Node(node) = program else { return };
         let found = schema::check_table(table, &node.schema(), &STAGE_KEYS, &format!("stage `{stage}`"));
         if !found.is_empty() {

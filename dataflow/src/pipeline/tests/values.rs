@@ -288,7 +288,7 @@ fn a_fault_is_shown_in_its_line() {
     let place = |text: &str, piece: &str| {
         let source = Arc::new(SourceText { name: "a.toml".into(), text: text.to_owned() });
         let start = text.find(piece).unwrap();
-        diagnostic::Place { source, span: start..start + piece.len() }
+        diagnostic::SourceSpan { source, span: start..start + piece.len() }
     };
     let at = place("a = 1\nbé\t= 22\nc = 3\n", "22");
     let shown = Diagnostic::warning(&at, "it is odd", "write 2").to_string();

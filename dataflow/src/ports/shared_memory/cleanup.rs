@@ -7,7 +7,7 @@
 //! touched. What its maker died over before it was whole would stop for ever who opens it: it is removed before a process joins,
 //! and while a run lasts.
 
-use crate::lock::{Locked, is_shared, lock_within};
+use crate::file_lock::{Locked, is_shared, lock_within};
 use crate::ports::capacity::SHARED_MEMORY;
 use crate::stage::Stop;
 use rustix::fs::Mode;

@@ -6,6 +6,7 @@ use super::sent_messages::SentMessages;
 use super::services::Ipc;
 use super::untyped::{self, Factory, Loan, Publisher};
 use crate::item_type::ItemType;
+use crate::mutex::lock;
 use crate::ports::capacity::{look_for_room, no_room, room};
 use crate::ports::patience::Patience;
 use crate::ports::{ConnectedReader, Delivery, PortError, Topic, Writer};
@@ -18,7 +19,7 @@ use iceoryx2::port::{BackpressureAction, BackpressureInfo};
 use iceoryx2::prelude::{AllocationStrategy, CallbackProgression, Config, Node, NodeState, PortFactory};
 use std::fmt::Debug;
 use std::io::ErrorKind;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 /// A writer that waits for room looks this often whether the reader still lives.
@@ -101,7 +102,7 @@ impl SharedWriter {
             let Some((_, place)) = readers.iter().find(|(port, _)| *port == full.receiver_port_id) else {
                 return BackpressureAction::DiscardData;
             };
-            let mut answers = answers.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut answers = lock(&answers);
             let woken = room.timed_wait(|event| answers.push(event.id.as_value()), DEAD_READER_CHECK);
             if !woken.is_ok_and(|events| events > 0) {
                 stop.wait_for(&topic.readers[*place].stage);
@@ -135,7 +136,7 @@ impl SharedWriter {
         if !readers.is_empty() {
             self.room.try_wait(|_| {}).ok();
         }
-        self.answers.lock().unwrap_or_else(PoisonError::into_inner).clear();
+        lock(&self.answers).clear();
         readers
     }
 
@@ -144,7 +145,7 @@ impl SharedWriter {
     /// that is killed and cleared away before that look would be gone, although it was not its reader that died.
     fn await_first_sight(&mut self, mut new: Vec<(u128, usize)>) {
         while !new.is_empty() && !self.stop.forced() {
-            let mut answers = std::mem::take(&mut *self.answers.lock().unwrap_or_else(PoisonError::into_inner));
+            let mut answers = std::mem::take(&mut *lock(&self.answers));
             if answers.is_empty() {
                 self.room.timed_wait(|event| answers.push(event.id.as_value()), DEAD_READER_CHECK).ok();
             }

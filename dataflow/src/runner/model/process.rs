@@ -4,7 +4,7 @@ use super::memory::{Fault, ModelMessage, ModelReader, ModelWriter, Record, STAGE
 use crate::ports::{Delivery, Received, TopicReader};
 use crate::runner::handover::Watermark;
 use crate::runner::input_port::{InputPort, Step};
-use crate::runner::output_port::{OutputPort, Telling, end_of_stream};
+use crate::runner::output_port::{EndAnnouncement, OutputPort, end_of_stream};
 use crate::runner::peers::Peers;
 use crate::stage::Stop;
 use crate::status::Life;
@@ -37,9 +37,9 @@ pub(super) enum At {
     /// `OutputPort::await_finish`, in `end_each`.
     Finishing,
     /// `OutputPort::tell`, in `end_each`.
-    Telling,
+    Announcing,
     /// Before `set_life(Ended)` is in the record.
-    Told,
+    Announced,
     /// After that.
     Ended,
     /// `OutputPort::await_finish`, in `StagePlace::end` of one that leaves its place.
@@ -68,14 +68,14 @@ pub(super) struct Process {
     awaits_sight: bool,
     /// Messages that its output has sent; of a source those that it has made, too.
     sent: u64,
-    telling: Telling,
+    announcement: EndAnnouncement,
 }
 
 impl Hash for Process {
     fn hash<H: Hasher>(&self, hasher: &mut H) {
         (self.number, self.at, self.is_successor, self.is_asked_to_end, self.is_asked_to_leave).hash(hasher);
         (&self.leaves_at, &self.in_hand, self.awaits_sight, self.sent).hash(hasher);
-        (&self.telling.before, &self.telling.told).hash(hasher);
+        (&self.announcement.before, &self.announcement.reached).hash(hasher);
         self.input.iter().for_each(|input| input.hash_state(hasher));
     }
 }
@@ -94,7 +94,7 @@ fn record<V>(stage: usize, change: impl FnOnce(&mut Record) -> V) -> V {
 impl Process {
     pub(super) fn spawn(stage: usize, number: u8, is_successor: bool) -> Self {
         // No reader is away for longer than any patience.
-        let telling = Telling::until(Instant::now() + Duration::from_secs(1 << 20));
+        let announcement = EndAnnouncement::until(Instant::now() + Duration::from_secs(1 << 20));
         Self {
             stage,
             number,
@@ -107,7 +107,7 @@ impl Process {
             in_hand: None,
             awaits_sight: false,
             sent: 0,
-            telling,
+            announcement,
         }
     }
 
@@ -128,9 +128,9 @@ impl Process {
                 self.acknowledge();
                 self.at = At::Looking;
             }
-            At::Finishing => self.go_on_when_finished(At::Telling),
-            At::Telling => self.tell(),
-            At::Told => {
+            At::Finishing => self.go_on_when_finished(At::Announcing),
+            At::Announcing => self.announce_end(),
+            At::Announced => {
                 record(self.stage, |own| own.life = Life::Ended);
                 self.at = At::Ended;
             }
@@ -299,7 +299,7 @@ impl Process {
         self.keep_record();
         self.input = None;
         memory(|memory| memory.close_input(self.stage, self.number));
-        self.at = if self.stage < TOPICS.len() { At::Finishing } else { At::Told };
+        self.at = if self.stage < TOPICS.len() { At::Finishing } else { At::Announced };
     }
 
     /// Whether a reader has not finished what this process keeps for it.
@@ -316,13 +316,15 @@ impl Process {
         }
     }
 
-    fn tell(&mut self) {
+    fn announce_end(&mut self) {
         let forgets = memory(|memory| memory.fault == Fault::EndWithoutNumber);
         let count = if forgets { 0 } else { self.sent };
         let end = end_of_stream(&Header::default(), Text::new(STAGES[self.stage]), count);
-        let told =
-            self.output().tell(&[end], &mut self.telling, Instant::now()).expect("the model's memory does not fail");
-        self.at = if told { At::Told } else { self.at };
+        let announced = self
+            .output()
+            .announce_end(&[end], &mut self.announcement, Instant::now())
+            .expect("the model's memory does not fail");
+        self.at = if announced { At::Announced } else { self.at };
         self.await_sight();
     }
 

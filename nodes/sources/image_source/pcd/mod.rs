@@ -26,7 +26,7 @@ pub(super) struct Cloud {
 
 /// Where one coordinate stands.
 #[derive(Clone, Copy)]
-struct Place {
+struct CoordinateField {
     /// Which number of a line of text.
     word: usize,
     /// First byte in a point, and in a file that is stored field after field.
@@ -72,7 +72,7 @@ impl Cloud {
         &self.columns[2]
     }
 
-    fn read_compressed(&mut self, header: &Header, places: [Place; 3], data: &[u8]) -> Result<()> {
+    fn read_compressed(&mut self, header: &Header, places: [CoordinateField; 3], data: &[u8]) -> Result<()> {
         let packed = packed_block(header, data)?;
         self.unpacked.resize(header.points() * header.point_size(), 0);
         let outcome = lzf::decompress(packed, &mut self.unpacked);
@@ -80,7 +80,7 @@ impl Cloud {
         outcome
     }
 
-    fn read_text(&mut self, header: &Header, places: [Place; 3], data: &[u8]) -> Result<()> {
+    fn read_text(&mut self, header: &Header, places: [CoordinateField; 3], data: &[u8]) -> Result<()> {
         let words: usize = header.fields.iter().map(|field| field.count).sum();
         let points = header.points();
         let mut read = 0;
@@ -102,20 +102,20 @@ impl Cloud {
     }
 }
 
-fn read_columns(columns: &mut [Vec<f32>; 3], data: &[u8], places: [(Place, usize, usize); 3]) {
+fn read_columns(columns: &mut [Vec<f32>; 3], data: &[u8], places: [(CoordinateField, usize, usize); 3]) {
     for (column, (place, first, stride)) in columns.iter_mut().zip(places) {
         (place.read)(&data[first..], stride, column);
     }
 }
 
 /// Finds x, y and z among the fields.
-fn places(header: &Header) -> Result<[Place; 3]> {
+fn places(header: &Header) -> Result<[CoordinateField; 3]> {
     let mut found = [None; 3];
     let (mut word, mut in_point, mut in_fields) = (0, 0, 0);
     for field in &header.fields {
         if let Some(axis) = ["x", "y", "z"].iter().position(|name| *name == field.name) {
             ensure!(field.count == 1, "field `{}` has COUNT {}, expected 1", field.name, field.count);
-            found[axis] = Some(Place { word, in_point, in_fields, read: field.read, size: field.size });
+            found[axis] = Some(CoordinateField { word, in_point, in_fields, read: field.read, size: field.size });
         }
         word += field.count;
         in_point += field.count * field.size;
@@ -163,7 +163,7 @@ fn packed_block<'a>(header: &Header, data: &'a [u8]) -> Result<&'a [u8]> {
     })
 }
 
-fn read_line(line: &[u8], words: usize, places: [Place; 3]) -> Result<[f32; 3]> {
+fn read_line(line: &[u8], words: usize, places: [CoordinateField; 3]) -> Result<[f32; 3]> {
     let line = std::str::from_utf8(line).map_err(|_| anyhow!("not text"))?;
     let mut point = [f32::NAN; 3];
     let mut got = 0;
