@@ -183,8 +183,10 @@ impl Model {
         seen.covariance + Matrix3::from_diagonal_element(spread)
     }
 
+    /// None of a model that the object may not follow.
     fn innovation(&self, seen: &Detection, config: &TrackerParameters) -> Option<Innovation> {
-        self.motion.innovation(&seen.position, &self.noise(seen, config)).filter(|_| self.probability > 0.0)
+        let may_be = self.probability > 0.0;
+        may_be.then(|| self.motion.innovation(&seen.position, &self.noise(seen, config)))?
     }
 
     fn cost(&self, innovation: &Innovation) -> f64 {
