@@ -6,7 +6,6 @@
 //! What carries topics to other machines is no part of this: a program hands it in as a [`Network`], beside its nodes, in its
 //! [`Registry`].
 
-mod bridge_plan;
 mod clock;
 mod doctor;
 mod file_lock;
@@ -16,8 +15,6 @@ mod hangup;
 mod heartbeat;
 mod item_type;
 mod launcher;
-mod link_key;
-mod link_report;
 mod log;
 mod mutex;
 mod network;
@@ -35,7 +32,6 @@ mod stage;
 mod standstill;
 mod status;
 mod table;
-mod watch;
 
 /// Runs a single stage or source as it runs in a pipeline, with nothing around it.
 pub mod testing {
@@ -44,8 +40,8 @@ pub mod testing {
 
 /// What the network part of a program is built of: the ends of topics as a stage has them, and what it tells of itself.
 pub mod relay {
-    pub use crate::link_report::{read_links, write_links};
     pub use crate::log::ThrottledWarning;
+    pub use crate::network::link_report::{read_links, write_links};
     pub use crate::ports::shared_memory::{SharedMemory, SharedReader, SharedWriter};
     pub use crate::runner::input_port::InputPort;
     pub use crate::runner::output_port::{OutputPort, end_of_stream};
@@ -65,12 +61,13 @@ pub use launcher::{
     Summary, SwapError, become_stage, join_as_source, join_as_stage, link_table, run, run_in_run, run_source,
     run_stage, user_folder,
 };
-pub use link_key::LinkKey;
-pub use link_report::{EdgeReport, LinkReport, LinkState};
 pub use log::{CLEAR_LINE, DEFAULT_LOG, LOG, error_text, log_beside, log_filter, log_to_standard_error};
 pub use mutex::lock;
+pub use network::link_key::LinkKey;
+pub use network::link_report::{EdgeReport, LinkReport, LinkState};
 pub use network::{BridgePlan, BridgeRun, Carrier, Edge, Network, NetworkError, Receiver};
 pub use node::{Host, Node, Variables, Variant};
+pub use observe::watch::{RunningPipeline, WatchError, Watcher, Watching, termination_flag};
 pub use observe::{
     InputActivity, Observation, PipelineActivity, RunRecord, StageActivity, StageRecord, TopicActivity, Usage, observe,
     records,
@@ -87,4 +84,3 @@ pub use side_inputs::{Pairing, SideInput, SideInputs};
 pub use stage::{Config, Context, Next, NoConfig, Output, Source, Stage, StageError, Stop};
 pub use status::{Counter, Durations, InputCounts, Intervals, Life, NO_RUN, Status, used};
 pub use table::Table;
-pub use watch::{RunningPipeline, WatchError, Watcher, Watching, termination_flag};

@@ -2,9 +2,9 @@
 //!
 //! The launcher writes it once; all stages of a run read the same plan, whatever becomes of the pipeline file meanwhile.
 
-use crate::bridge_plan::bridge_plan;
 use crate::file_use::FileUse;
 use crate::network::BridgePlan;
+use crate::network::bridge_plan::bridge_plan;
 use crate::node::Node;
 use crate::pipeline::{BRIDGE, Pipeline, Program, Report, Restart, SourceText, StageSpec};
 use crate::ports::{Topic, Wiring};

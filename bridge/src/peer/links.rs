@@ -17,8 +17,8 @@ use crate::wire::{WireError, decode_note, encode_note, layouts};
 use conicflow_dataflow::ports::Delivery;
 use conicflow_dataflow::{BridgePlan, Edge, lock, monotonic_ns};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 /// A peer of which nothing was heard for so long is not connected.

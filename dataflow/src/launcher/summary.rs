@@ -2,7 +2,7 @@
 
 use super::folder::RunFolder;
 use crate::item_type::ItemType;
-use crate::link_report::{EdgeReport, LinkReport, read_links};
+use crate::network::link_report::{EdgeReport, LinkReport, read_links};
 use crate::plan::{Plan, PlannedStage, Runs};
 use crate::ports::Delivery;
 use crate::standstill;

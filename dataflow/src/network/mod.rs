@@ -4,6 +4,10 @@
 //! the [`Edge`]s of its [`BridgePlan`]. The functions of [`Network`] check the machine's table in the pipeline file, and run
 //! that process.
 
+pub(crate) mod bridge_plan;
+pub(crate) mod link_key;
+pub(crate) mod link_report;
+
 use crate::item_type::ItemType;
 use crate::pipeline::{Compression, Machine};
 use crate::ports::shared_memory::SharedMemory;

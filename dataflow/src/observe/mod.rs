@@ -1,10 +1,12 @@
 //! Looks at running pipelines from outside: reads the records of their stages and what the kernel knows of the processes.
 //!
-//! Nothing is attached to, so that nothing is slowed down and no queue gets another reader.
+//! Nothing is attached to, so that nothing is slowed down and no queue gets another reader. Who wants the messages uses [`watch`].
+
+pub(crate) mod watch;
 
 use crate::clock::monotonic_ns;
 use crate::launcher::{FolderError, RunFolder, user_folder};
-use crate::link_report::{EdgeReport, LinkReport, read_links};
+use crate::network::link_report::{EdgeReport, LinkReport, read_links};
 use crate::pipeline::BRIDGE;
 use crate::plan::{Plan, PlannedStage};
 use crate::status::{Durations, Life, Pausing, Status, used};
