@@ -53,7 +53,7 @@ pub struct Usage {
 }
 
 /// What a pipeline did between two moments.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Default, Serialize)]
 pub struct PipelineActivity {
     /// Its name.
     pub pipeline: String,
@@ -128,7 +128,7 @@ pub struct TopicActivity {
 }
 
 /// What came out of a topic for one stage.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Default, Serialize)]
 pub struct InputActivity {
     /// Name of the topic.
     pub topic: String,
