@@ -151,13 +151,13 @@ fn tell_each_other(robot: &Side, base: &Side) {
 }
 
 /// What is left of messages that come to `base`, whose bridge has met that of `robot`: counts of those that were passed on, that
-/// came too late and that made no sense, and what is acknowledged.
-fn accepted(delivery: Delivery, messages: &[Vec<u8>]) -> ([u64; 3], Ack) {
+/// came too late, that made no sense and that are lost by that, and what is acknowledged.
+fn accepted(delivery: Delivery, messages: &[Vec<u8>]) -> ([u64; 4], Ack) {
     accepted_with(Some(&secret()), delivery, messages)
 }
 
 /// The same with a key, or without one: then each message is sent until it is acknowledged.
-fn accepted_with(key: Option<&LinkKey>, delivery: Delivery, messages: &[Vec<u8>]) -> ([u64; 3], Ack) {
+fn accepted_with(key: Option<&LinkKey>, delivery: Delivery, messages: &[Vec<u8>]) -> ([u64; 4], Ack) {
     let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
     let robot = Side::new("robot", edge(delivery, BRIDGE), folders[0].path(), key);
     let base = Side::new("base", edge(delivery, "reader"), folders[1].path(), key);
@@ -182,8 +182,8 @@ fn accepted_with(key: Option<&LinkKey>, delivery: Delivery, messages: &[Vec<u8>]
             });
         }
     });
-    let EdgeCounts { messages, stale, malformed, .. } = &*base.counts;
-    let counts = [messages, stale, malformed].map(|count| count.load(Ordering::Relaxed));
+    let EdgeCounts { messages, stale, malformed, refused, .. } = &*base.counts;
+    let counts = [messages, stale, malformed, refused].map(|count| count.load(Ordering::Relaxed));
     (counts, base.links.news().acks.remove(0))
 }
 
@@ -254,8 +254,8 @@ fn what_was_long_under_way_is_passed_on_only_where_none_may_be_missed() {
     };
     let (late, just_sent) = (sent_at(0, 0), sent_at(1, u64::MAX));
     let messages = [on_the_wire(&late, 0, 0), on_the_wire(&just_sent, 1, 0)];
-    assert_eq!(accepted(Delivery::Lossless, &messages).0, [2, 0, 0]);
-    assert_eq!(accepted(Delivery::Latest, &messages).0, [1, 1, 0]);
+    assert_eq!(accepted(Delivery::Lossless, &messages).0, [2, 0, 0, 0]);
+    assert_eq!(accepted(Delivery::Latest, &messages).0, [1, 1, 0, 0]);
 }
 
 #[test]
@@ -270,14 +270,14 @@ fn what_makes_no_sense_is_passed_over_and_acknowledged_so_that_what_follows_come
         of_writer(4),
     ];
     let (counts, ack) = accepted(Delivery::Lossless, &messages);
-    assert_eq!((counts, ack.stream, ack.next), ([2, 0, 3], 5, 5));
+    assert_eq!((counts, ack.stream, ack.next), ([2, 0, 3, 3], 5, 5));
 }
 
 #[test]
 fn a_message_whose_number_was_not_reached_is_told_when_the_true_ones_come() {
     let messages = [300, 1].map(|number| on_the_wire(&header("writer", number), number, number));
     let (counts, ack) = accepted_with(None, Delivery::Lossless, &messages);
-    assert_eq!((counts, ack.next), ([2, 0, 1], 2));
+    assert_eq!((counts, ack.next), ([2, 0, 1, 0], 2));
 }
 
 #[test]

@@ -290,6 +290,7 @@ impl<'a> Receiving<'a> {
         let claim = Claim { position, session: session_of(bytes), may_be_repeated: true, ..Claim::default() };
         if self.judge(claim) == Verdict::Take {
             self.sequence.taken();
+            EdgeCounts::add(&self.counts.refused, 1);
         }
         self.acknowledge();
     }

@@ -256,7 +256,7 @@ impl<'a> Encoder<'a> {
         let encoded = message_bytes(position, &self.layout, header, body);
         let leave_out = |error: &WireError| {
             let topic = &self.edge.topic.name;
-            self.left_out.add(format_args!("a message of topic `{topic}` cannot leave this machine: {error}"));
+            self.left_out.lose(format_args!("a message of topic `{topic}` cannot leave this machine: {error}"));
         };
         encoded.inspect_err(leave_out).ok()
     }

@@ -1,6 +1,6 @@
-//! Files by paths that users write, which may lead anywhere.
+//! Files by paths that users write, which may lead anywhere, and may hold what somebody still wants.
 
-use std::fs::File;
+use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read as _};
 use std::path::Path;
 
@@ -23,6 +23,64 @@ pub fn read_text(path: &Path, most_bytes: u64) -> io::Result<String> {
     Ok(text)
 }
 
+/// A file that is to be written anew, and until then holds what an earlier run has left in it: a run that fails before it has
+/// anything to write destroys nothing.
+#[derive(Debug)]
+pub struct LateFile {
+    file: File,
+    is_new: bool,
+    is_earlier: bool,
+}
+
+impl LateFile {
+    /// Opens the file at `path` for writing, and makes it and its folder where they are missing.
+    ///
+    /// # Errors
+    /// One of them cannot be made, or the file not be written.
+    pub fn open(path: &Path) -> io::Result<Self> {
+        path.parent().map_or(Ok(()), fs::create_dir_all)?;
+        let is_new = !path.exists();
+        let file = File::options().write(true).create(true).truncate(false).open(path)?;
+        // A device or a pipe holds nothing.
+        let is_earlier = file.metadata()?.len() > 0;
+        Ok(Self { file, is_new, is_earlier })
+    }
+
+    /// The file as it stands.
+    pub fn file(&self) -> &File {
+        &self.file
+    }
+
+    /// Whether the file was not there before.
+    pub fn is_new(&self) -> bool {
+        self.is_new
+    }
+
+    /// Whether it still holds what was in it.
+    pub fn is_earlier(&self) -> bool {
+        self.is_earlier
+    }
+
+    /// The file to write into: empties it the first time.
+    ///
+    /// # Errors
+    /// It cannot be emptied.
+    pub fn begin(&mut self) -> io::Result<&mut File> {
+        if self.is_earlier {
+            self.file.set_len(0)?;
+            self.is_earlier = false;
+        }
+        Ok(&mut self.file)
+    }
+}
+
+impl From<File> for LateFile {
+    /// A file that is gone on with: nothing in it is of an earlier run.
+    fn from(file: File) -> Self {
+        Self { file, is_new: false, is_earlier: false }
+    }
+}
+
 /// Whether a path leads to something that is neither a file nor a folder: a device, a pipe or a socket, which may wait for ever to
 /// be opened.
 pub fn is_special(path: &Path) -> bool {
@@ -32,14 +90,32 @@ pub fn is_special(path: &Path) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::io::Write as _;
+
+    #[test]
+    fn a_late_file_is_emptied_when_something_is_to_be_written_and_only_then() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("new/file");
+        for (before, is_new) in [(None, true), (Some(""), false), (Some("earlier"), false)] {
+            before.iter().for_each(|before| fs::write(&path, before).unwrap());
+            let mut file = LateFile::open(&path).unwrap();
+            assert_eq!((file.is_new(), file.is_earlier()), (is_new, before == Some("earlier")));
+            assert_eq!(fs::read_to_string(&path).unwrap(), before.unwrap_or_default());
+            for text in ["one", "two"] {
+                file.begin().unwrap().write_all(text.as_bytes()).unwrap();
+            }
+            assert_eq!((fs::read_to_string(&path).unwrap().as_str(), file.is_earlier()), ("onetwo", false));
+        }
+        assert!(!LateFile::open(Path::new("/dev/null")).unwrap().is_earlier());
+    }
 
     #[test]
     fn a_text_is_read_up_to_its_limit_and_not_beyond() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("text");
-        std::fs::write(&path, "1234").unwrap();
+        fs::write(&path, "1234").unwrap();
         assert_eq!(read_text(&path, 4).unwrap(), "1234");
-        std::fs::write(&path, "\u{feff}1").unwrap();
+        fs::write(&path, "\u{feff}1").unwrap();
         assert_eq!(read_text(&path, 4).unwrap(), "1");
         assert_eq!(read_text(&path, 3).unwrap_err().to_string(), "it is longer than 3 bytes");
         assert!(read_text(Path::new("/dev/zero"), 1000).is_err());

@@ -29,7 +29,7 @@ mod velocity;
 pub use depth::{INVALID_FAR, INVALID_NEAR, is_measured, median_depth};
 pub use ellipse::{END_POINTS, Ellipse, MOMENTS, Scan};
 pub use fault::{ConfigFault, Hinted, lasts};
-pub use files::{is_special, read_text};
+pub use files::{LateFile, is_special, read_text};
 pub use header::{
     Camera, DEPTH_SCALES_M, END_OF_STREAM, FARTHEST_PRINCIPAL_POINT_PX, FOCAL_LENGTHS_PX, HAS_POSE, HEADER_TYPE_NAME,
     Header, Hop, MAX_HOPS, MAX_PIXELS, MAX_SIDE_PX, MAX_SOURCE_BYTES, NoiseModel, RECORDED, is_rotation,

@@ -72,7 +72,8 @@ fn found(pipeline: &PipelineActivity) -> String {
     format!("{}\n", clip(&line, 80))
 }
 
-/// A line for each stage that hangs, or seems to, that is paused, or that another one holds up.
+/// A line for each stage that hangs, or seems to, that is paused, or that another one holds up, and for each input of which messages
+/// were left out.
 fn standing(pipeline: &PipelineActivity) -> String {
     let line = |stage: &StageActivity| match &stage.waits_for {
         _ if stage.silent_s > SILENT_S => Some(format!("no sign of life for {:.0} s", stage.silent_s)),
@@ -80,8 +81,11 @@ fn standing(pipeline: &PipelineActivity) -> String {
         Some(reader) if stage.rate_hz == 0.0 => Some(format!("waits for {} to take its messages", clip(reader, 14))),
         _ => None,
     };
-    let lines = pipeline.stages.iter().filter_map(|stage| Some((clip(&stage.stage, 14), line(stage)?)));
-    lines.map(|(stage, line)| format!("{stage}: {line}\n")).collect()
+    let stages = pipeline.stages.iter().filter_map(|stage| Some((&stage.stage, line(stage)?)));
+    let inputs = pipeline.inputs.iter().filter(|input| input.malformed > 0).map(|input| {
+        (&input.reader, format!("{} messages of {} made no sense", input.malformed, clip(&input.topic, 22)))
+    });
+    stages.chain(inputs).map(|(stage, line)| format!("{}: {line}\n", clip(stage, 14))).collect()
 }
 
 fn stages(pipeline: &PipelineActivity) -> Table {
@@ -127,6 +131,19 @@ fn clip(text: &str, width: usize) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use conicflow_dataflow::InputActivity;
+
+    #[test]
+    fn an_input_that_has_left_out_messages_which_made_no_sense_has_a_line() {
+        let input = |reader: &str, malformed| InputActivity {
+            topic: "objects".to_owned(),
+            reader: reader.to_owned(),
+            malformed,
+            ..InputActivity::default()
+        };
+        let pipeline = PipelineActivity { inputs: vec![input("tracker", 3), input("json", 0)], ..Default::default() };
+        assert_eq!(standing(&pipeline), "tracker: 3 messages of objects made no sense\n");
+    }
 
     #[test]
     fn a_window_shows_as_many_lines_as_it_has_and_how_many_there_are_more() {

@@ -20,7 +20,8 @@ use super::summary::MAX_RECORD_BYTES;
 use anyhow::{Context as _, Error, Result};
 use conicflow_dataflow::{AnyMessage, FileUse, ItemType, lock};
 use conicflow_messages::{
-    ABSENT, Fields, Header, Hinted, INVALID_FAR, INVALID_NEAR, Named, Object, Text, Track, Velocity, is_special,
+    ABSENT, Fields, Header, Hinted, INVALID_FAR, INVALID_NEAR, LateFile, Named, Object, Text, Track, Velocity,
+    is_special,
 };
 use conicflow_ros::{
     CAMERA_INFO, CameraInfo, Definition, IMAGE as IMAGE_TYPE, MARKER_ARRAY, Marked, Markers, POINT_CLOUD, Stamped,
@@ -108,9 +109,7 @@ struct Files {
 /// A file that can be written, and was not yet.
 struct FirstFile {
     path: PathBuf,
-    file: File,
-    /// Whether there was none.
-    is_new: bool,
+    file: LateFile,
     /// The files of an earlier recording, whose place it takes.
     earlier: Vec<PathBuf>,
 }
@@ -232,7 +231,7 @@ impl Recorder {
 impl Drop for Recorder {
     /// Where nothing came of it, such as of a stage that was made on trial, it leaves no file behind.
     fn drop(&mut self) {
-        if let Some(first) = lock(&self.files).first.take_if(|first| first.is_new) {
+        if let Some(first) = lock(&self.files).first.take_if(|first| first.file.is_new()) {
             fs::remove_file(&first.path).ok();
         }
     }
@@ -331,22 +330,17 @@ fn run_of(path: &Path) -> Option<u64> {
 
 impl FirstFile {
     fn open(path: PathBuf, earlier: Vec<PathBuf>) -> io::Result<Self> {
-        path.parent().map_or(Ok(()), fs::create_dir_all)?;
-        let is_new = !path.exists();
-        let file = File::options().write(true).create(true).truncate(false).open(&path)?;
-        Ok(Self { path, file, is_new, earlier })
+        let file = LateFile::open(&path)?;
+        Ok(Self { path, file, earlier })
     }
 }
 
 impl Files {
     /// Takes the place of an earlier recording, as something is to be written.
     fn begin(&mut self) -> Result<()> {
-        let Some(FirstFile { path, file, earlier, .. }) = &self.first else { return Ok(()) };
+        let Some(FirstFile { path, file, earlier }) = &mut self.first else { return Ok(()) };
         earlier.iter().filter(|file| *file != path).try_for_each(fs::remove_file)?;
-        if file.metadata()?.len() > 0 {
-            file.set_len(0)?;
-        }
-        self.open = Some(OpenFile::begin(path, file.try_clone()?, self.run)?);
+        self.open = Some(OpenFile::begin(path, file.begin()?.try_clone()?, self.run)?);
         self.first = None;
         Ok(())
     }

@@ -3,7 +3,7 @@
 
 use anyhow::{Context as _, anyhow};
 use conicflow_dataflow::CLEAR_LINE;
-use conicflow_messages::Hinted;
+use conicflow_messages::{Hinted, LateFile};
 use serde::Serialize;
 use std::fs::{File, OpenOptions};
 use std::io::{self, ErrorKind, IsTerminal as _, Read, Seek, SeekFrom, Write};
@@ -20,7 +20,7 @@ enum Destination {
     StandardOutput,
     /// A regular file has a length of whole lines to go back to; a pipe or device has none.
     File {
-        file: File,
+        file: LateFile,
         path: PathBuf,
         whole: Option<u64>,
     },
@@ -42,15 +42,20 @@ impl JsonLines {
     }
 
     /// Lines in the file at `path`, whose folder is made where it is missing. Its content is kept if `append`, but for a
-    /// torn last line, and dropped otherwise.
+    /// torn last line, and otherwise until the first line.
     ///
     /// # Errors
     /// The folder or the file cannot be made or written.
     pub fn open(path: &Path, append: bool) -> anyhow::Result<Self> {
         let open = || {
-            path.parent().map_or(Ok(()), std::fs::create_dir_all)?;
-            let file = OpenOptions::new().read(append).write(true).create(true).truncate(!append).open(path)?;
-            let whole = if append { cut_torn_line(&file)? } else { length(&file)? };
+            let late = LateFile::open(path)?;
+            let (file, whole) = if append {
+                let file = OpenOptions::new().read(true).write(true).open(path)?;
+                let whole = cut_torn_line(&file)?;
+                (file.into(), whole)
+            } else {
+                (late, path.is_file().then_some(0))
+            };
             Ok(Destination::File { file, path: path.to_owned(), whole })
         };
         open().map(Self::to).map_err(|error| {
@@ -70,11 +75,12 @@ impl JsonLines {
         let Destination::File { file, whole: Some(whole), .. } = &self.destination else { return Ok(None) };
         let Some(end) = whole.checked_sub(1) else { return Ok(None) };
         let read = || {
+            let mut file = file.file();
             let start = end_of_last_line(file, end)?;
             let mut line = vec![0; (end - start) as usize];
             file.read_exact_at(&mut line, start)?;
             // Where the next line goes.
-            (&*file).seek(SeekFrom::Start(*whole))?;
+            file.seek(SeekFrom::Start(*whole))?;
             Ok(line)
         };
         read().map(Some).map_err(|error| self.fault(&error))
@@ -106,6 +112,25 @@ impl JsonLines {
         }
     }
 
+    /// Drops what an earlier run has left in the file, as what is to be written has no lines, or more than none.
+    ///
+    /// # Errors
+    /// It cannot be dropped.
+    pub fn begin(&mut self) -> anyhow::Result<()> {
+        let Destination::File { file, .. } = &mut self.destination else { return Ok(()) };
+        let begun = file.begin().map(drop);
+        begun.map_err(|error| self.fault(&error))
+    }
+
+    /// Warns where the file still holds what an earlier run has left in it, as nothing came.
+    pub fn tell_if_earlier(&self) {
+        if let Destination::File { file, path, .. } = &self.destination
+            && file.is_earlier()
+        {
+            tracing::warn!("nothing came to be written: `{}` still holds what an earlier run wrote", path.display());
+        }
+    }
+
     fn fault(&self, error: &io::Error) -> anyhow::Error {
         let path = match &self.destination {
             Destination::StandardOutput => Path::new("standard output"),
@@ -128,6 +153,7 @@ impl Destination {
                 output.flush()
             }
             Self::File { file, whole, .. } => {
+                let file = file.begin()?;
                 let result = file.write_all(line);
                 settle(file, whole, line.len(), result)
             }
@@ -207,14 +233,18 @@ mod tests {
     }
 
     #[test]
-    fn a_new_run_starts_anew_and_a_restart_goes_on() {
+    fn a_new_run_starts_anew_with_its_first_line_and_a_restart_goes_on() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("out.jsonl");
         write(&path, true, &[1, 2]);
         write(&path, true, &[3]);
         assert_eq!(fs::read_to_string(&path).unwrap(), "1\n2\n3\n");
-        write(&path, false, &[4]);
-        assert_eq!(fs::read_to_string(&path).unwrap(), "4\n");
+        write(&path, false, &[]);
+        assert_eq!(fs::read_to_string(&path).unwrap(), "1\n2\n3\n", "it had nothing to write");
+        write(&path, false, &[4, 5]);
+        assert_eq!(fs::read_to_string(&path).unwrap(), "4\n5\n");
+        JsonLines::open(&path, false).unwrap().begin().unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), "");
     }
 
     #[test]

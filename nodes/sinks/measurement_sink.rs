@@ -117,6 +117,7 @@ pub(super) fn write_rows(path: Option<&Path>, rows: &[Row]) -> Result<()> {
         Some(path) => JsonLines::open(path, false)?,
         None => JsonLines::standard_output(),
     };
+    lines.begin()?;
     for row in rows {
         lines.write(row)?;
     }

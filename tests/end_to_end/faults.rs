@@ -152,10 +152,13 @@ fn nonsense_does_not_leave_its_machine_and_is_counted_at_the_edge() {
     assert_eq!(malformed(&base), Some(0));
     let told = "left out a message of topic `passed_on`";
     assert!(runs[0].stderr().contains(told) && !runs[1].stderr().contains(told), "{}", runs[0].stderr());
-    for run in runs {
-        signal(run.id(), Signal::INT);
-        run.wait();
-    }
+    signal(runs[0].id(), Signal::INT);
+    let [ended, ended_base] = runs.map(|run| run.wait().expect_code(1));
+    let made = ended.stage("faulty").messages;
+    ended.expect_told(&[&format!(
+        "not complete: machine `base` lost 3 of {made} messages of the lossless topic `passed_on`, 3 of them because they made no sense"
+    )]);
+    ended_base.expect_told(&["not complete: `tracker` lost 3 of "]);
     let sequences = base.sequences("tracks.jsonl");
     assert!(sequences.iter().copied().take(38).eq((0..20).chain(23..41)), "{sequences:?}");
 }

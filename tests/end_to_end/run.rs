@@ -350,6 +350,31 @@ fn a_run_whose_recording_goes_while_it_is_played_says_how_much_of_it_was_read_an
 }
 
 #[test]
+fn a_run_that_fails_before_it_has_anything_to_write_leaves_the_lines_of_the_last_one() {
+    let playground = recording(8..10);
+    playground.conicflow(&["run"]).expect_code(0);
+    let lines = playground.lines("objects.jsonl");
+    assert_eq!(lines.len(), 2);
+    playground.write(
+        "pipeline.toml",
+        r#"
+        name = "fails"
+        [stage.source]
+        program = ["false"]
+        output  = { topic = "objects", kind = "objects" }
+        restart = "never"
+        [stage.json]
+        node  = "json_sink"
+        input = "objects"
+        path  = "objects.jsonl"
+        "#,
+    );
+    let ended = playground.conicflow(&["run"]);
+    assert_eq!(playground.lines("objects.jsonl"), lines, "{}", ended.stderr);
+    ended.expect_told(&["nothing came to be written: `", "objects.jsonl` still holds what an earlier run wrote"]);
+}
+
+#[test]
 fn the_level_of_the_log_is_that_of_the_stages_as_well() {
     let playground = recording(8..10);
     let told = |level: &str| playground.conicflow(&["run", "--log", level]).expect_code(0).stderr;

@@ -19,6 +19,8 @@ pub(crate) struct EdgeCounts {
     pub unwanted: AtomicU64,
     /// Left out, because they make no sense, by what encodes or decodes them.
     pub malformed: AtomicU64,
+    /// Those of them that count as lost where none may be missed: true messages, and not what somebody else put in.
+    pub refused: AtomicU64,
     pub age_ns: AtomicU64,
     input: Mutex<InputCounts>,
 }
@@ -26,7 +28,7 @@ pub(crate) struct EdgeCounts {
 impl EdgeCounts {
     /// Counts that go on where an earlier bridge of the run left them, as far as it told, also in its record.
     pub(crate) fn after(earlier: &EdgeReport, input: InputCounts) -> Self {
-        let &EdgeReport { messages, wire_bytes, memory_bytes, lost, resent, stale, malformed, .. } = earlier;
+        let &EdgeReport { messages, wire_bytes, memory_bytes, lost, resent, stale, malformed, refused, .. } = earlier;
         Self {
             messages: messages.into(),
             wire_bytes: wire_bytes.into(),
@@ -35,6 +37,7 @@ impl EdgeCounts {
             resent: resent.into(),
             stale: stale.into(),
             malformed: malformed.into(),
+            refused: refused.into(),
             // The report tells of these with the others.
             input: InputCounts { malformed: 0, ..input }.into(),
             ..Self::default()
@@ -54,6 +57,7 @@ impl EdgeCounts {
     pub(crate) fn report(&self, topic: &str, direction: &str, earlier: &EdgeReport, seconds: f64) -> EdgeReport {
         let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         let (messages, wire_bytes) = (count(&self.messages), count(&self.wire_bytes));
+        let of_input = self.input().malformed;
         let per_second = |now: u64, before: u64| now.saturating_sub(before) as f64 / seconds.max(1e-3);
         EdgeReport {
             topic: topic.to_owned(),
@@ -66,7 +70,8 @@ impl EdgeCounts {
             lost: count(&self.lost),
             resent: count(&self.resent),
             stale: count(&self.stale),
-            malformed: count(&self.malformed) + self.input().malformed,
+            malformed: count(&self.malformed) + of_input,
+            refused: count(&self.refused) + of_input,
             age_ms: count(&self.age_ns) as f64 / 1e6,
         }
     }
@@ -81,6 +86,12 @@ pub(crate) struct LeftOut {
 impl LeftOut {
     pub(crate) fn new(counts: Arc<EdgeCounts>) -> Self {
         Self { counts, warning: Mutex::default() }
+    }
+
+    /// Counts a message that will not be had in any other way, and tells what is wrong with it.
+    pub(crate) fn lose(&self, what: Arguments<'_>) {
+        EdgeCounts::add(&self.counts.refused, 1);
+        self.add(what);
     }
 
     /// Counts a message, and tells what is wrong with it.
@@ -112,6 +123,8 @@ mod tests {
         (0..3).for_each(|_| left_out.add(format_args!("its image has no pixels")));
         assert_eq!(counts.report("depth", "out", &EdgeReport::default(), 1.0).malformed, 3);
         counts.input().malformed = 2;
-        assert_eq!(counts.report("depth", "out", &EdgeReport::default(), 1.0).malformed, 5);
+        left_out.lose(format_args!("its image is too large"));
+        let EdgeReport { malformed, refused, .. } = counts.report("depth", "out", &EdgeReport::default(), 1.0);
+        assert_eq!((malformed, refused), (6, 3), "what others have put in is nobody's loss");
     }
 }

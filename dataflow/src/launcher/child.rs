@@ -12,15 +12,16 @@ use crate::ports::Delivery;
 use crate::status::{Life, Status};
 use rustix::process::{Pid, Signal, kill_process, kill_process_group};
 use signal_hook::consts::SIGBUS;
-use std::collections::VecDeque;
 use std::io;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::process::{Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
-/// A stage that dies more often than this within a minute is given up.
-const MAX_RESTARTS_PER_MINUTE: usize = 10;
-const MINUTE: Duration = Duration::from_secs(60);
+/// A stage is started anew so often in a row; one that has worked for long enough begins at the first time again, however often
+/// it has died before.
+const MAX_RESTARTS: u32 = 10;
+/// Long enough for a process that died: one that dies once an hour lives for ever, and one that dies every few seconds does not.
+const WORKED_WELL: Duration = Duration::from_secs(60);
 const FIRST_BACK_OFF: Duration = Duration::from_millis(100);
 const LONGEST_BACK_OFF: Duration = Duration::from_secs(5);
 
@@ -75,7 +76,8 @@ pub(crate) struct Supervised {
     pub(crate) planned: PlannedStage,
     state: State,
     watchdog: Watchdog,
-    deaths: VecDeque<Instant>,
+    /// How many processes have died in a row, none of which had worked for long enough.
+    deaths: u32,
     /// The process of which was said already that it has not joined the run.
     outsider: Option<u32>,
     /// Whether was said already how a program joins.
@@ -101,7 +103,7 @@ impl Supervised {
             error,
         })?;
         let watchdog = Watchdog::new(0, Instant::now());
-        let (state, deaths, started) = (State::Running(process), VecDeque::new(), Instant::now());
+        let (state, deaths, started) = (State::Running(process), 0, Instant::now());
         Ok(Self {
             planned,
             state,
@@ -229,7 +231,7 @@ impl Supervised {
                 self.turns += u64::from(self.at_work.take().is_some());
                 Change::None
             }
-            Err(error) => self.died(&format!("cannot be started ({error})"), run),
+            Err(error) => self.died(&format!("cannot be started ({error})"), false, run),
         }
     }
 
@@ -369,11 +371,13 @@ impl Supervised {
             tracing::error!("stage `{name}` could not be made ready, for what it told");
             return self.give_up(run, Change::Lost);
         }
-        self.died(&describe(status), run)
+        // A program that is to do its work again and again may be quick about it.
+        let long_enough = if finished { LONGEST_BACK_OFF } else { WORKED_WELL };
+        self.died(&describe(status), self.started.elapsed() >= long_enough, run)
     }
 
     /// Sees to it that it is started anew, later with each death, unless that is not wanted or was done too often.
-    fn died(&mut self, how: &str, run: &RunState<'_>) -> Change {
+    fn died(&mut self, how: &str, has_worked_well: bool, run: &RunState<'_>) -> Change {
         let name = &self.planned.name;
         if self.planned.restart == Restart::Never {
             tracing::error!("stage `{name}` {how}, and is not started anew: its `restart` is \"never\"");
@@ -385,16 +389,17 @@ impl Supervised {
             );
             return self.give_up(run, Change::Lost);
         }
-        let now = Instant::now();
-        let Some(back_off) = back_off(&mut self.deaths, now) else {
+        self.deaths = if has_worked_well { 1 } else { self.deaths + 1 };
+        let Some(back_off) = back_off(self.deaths) else {
             tracing::error!(
-                "stage `{name}` {how}, for the {}th time within a minute: it is given up",
-                self.deaths.len()
+                "stage `{name}` {how}, for the {}th time in a row, and never worked for long: it is given up\n  \
+                 hint: what it told each time before it ended says why",
+                self.deaths
             );
             return self.give_up(run, Change::Lost);
         };
         tracing::warn!("stage `{name}` {how}, and is started anew in {:.1} s", back_off.as_secs_f64());
-        self.state = State::Waiting { until: now + back_off };
+        self.state = State::Waiting { until: Instant::now() + back_off };
         Change::None
     }
 
@@ -418,13 +423,10 @@ fn came_to_its_end(own: Option<Life>) -> bool {
     matches!(own, None | Some(Life::Ended))
 }
 
-/// How long a stage that died `now` stays away, by its deaths in the last minute; `None`: it died too often.
-fn back_off(deaths: &mut VecDeque<Instant>, now: Instant) -> Option<Duration> {
-    deaths.push_back(now);
-    deaths.retain(|death| now.duration_since(*death) < MINUTE);
-    let doublings = (deaths.len() as u32 - 1).min(10);
-    let back_off = (FIRST_BACK_OFF * 2_u32.pow(doublings)).min(LONGEST_BACK_OFF);
-    (deaths.len() <= MAX_RESTARTS_PER_MINUTE).then_some(back_off)
+/// How long a stage stays away after so many deaths in a row, the last one included; `None`: it died too often.
+fn back_off(deaths: u32) -> Option<Duration> {
+    let back_off = || (FIRST_BACK_OFF * 2_u32.pow(deaths.saturating_sub(1))).min(LONGEST_BACK_OFF);
+    (deaths <= MAX_RESTARTS).then(back_off)
 }
 
 /// What starts a stage. Each gets a process group of its own, so that Ctrl-C reaches the launcher alone, which ends them in

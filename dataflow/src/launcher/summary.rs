@@ -2,6 +2,7 @@
 
 use super::folder::RunFolder;
 use crate::item_type::ItemType;
+use crate::network::Edge;
 use crate::network::link_report::{EdgeReport, LinkReport, read_links};
 use crate::plan::{Plan, PlannedStage, Runs};
 use crate::ports::Delivery;
@@ -41,7 +42,7 @@ pub(crate) struct Ending {
 pub struct LostMessages {
     /// Name of the topic.
     pub topic: String,
-    /// Who reads it: a stage, or the stages of another machine.
+    /// Who lost them: a stage, the stages of another machine, or the bridge of this one.
     pub reader: String,
     /// How many were lost, and of how many.
     pub count: [u64; 2],
@@ -121,28 +122,41 @@ impl Summary {
         lost.chain(self.lost_on_the_way()).collect()
     }
 
-    /// What other machines did not get of topics of which they want all: what the bridge sent, and nobody acknowledged.
+    /// What was lost between machines of topics of which the one that reads them wants all: what the bridge here sent, and nobody
+    /// acknowledged, and what it could not send or pass on. What else did not come the stages here miss themselves.
     fn lost_on_the_way(&self) -> impl Iterator<Item = LostMessages> {
         let links = self.links.iter().filter(|_| !self.ending.hurried);
         links.flat_map(|link| {
-            let wants_all = |edge: &&EdgeReport| !edge.comes() && self.has_lossless_edge(&edge.topic, &link.machine);
-            link.edges.iter().filter(wants_all).filter(|edge| edge.lost > 0).map(|edge| LostMessages {
-                topic: edge.topic.clone(),
-                reader: format!("machine `{}`", link.machine),
-                count: [edge.lost, edge.messages],
-                malformed: 0,
-            })
+            let lossless = link.edges.iter().filter(|edge| self.is_lossless(edge, &link.machine));
+            let lost = lossless.map(|edge| {
+                let (lost, reader) = match edge.comes() {
+                    true => (0, "the bridge".to_owned()),
+                    false => (edge.lost, format!("machine `{}`", link.machine)),
+                };
+                let count = [lost, edge.messages].map(|count| count.saturating_add(edge.refused));
+                LostMessages { topic: edge.topic.clone(), reader, count, malformed: edge.refused }
+            });
+            lost.filter(|lost| lost.count[0] > 0)
         })
     }
 
-    /// Whether a machine wants all messages of a topic that this one sends it.
-    fn has_lossless_edge(&self, topic: &str, machine: &str) -> bool {
-        let bridges = self.stages.iter().filter_map(|stage| match &stage.planned.runs {
+    /// Whether the machine at the other end of a link, or this one where it comes from there, wants all messages of an edge.
+    fn is_lossless(&self, report: &EdgeReport, machine: &str) -> bool {
+        let mut bridges = self.stages.iter().filter_map(|stage| match &stage.planned.runs {
             Runs::Bridge(bridge) => Some(bridge),
             _ => None,
         });
-        let mut edges = bridges.flat_map(|bridge| &bridge.outgoing).filter(|edge| edge.topic.name == topic);
-        edges.any(|edge| edge.delivery_to(machine) == Some(Delivery::Lossless))
+        let is_it = |edge: &&Edge| edge.topic.name == report.topic;
+        bridges.any(|bridge| match report.comes() {
+            true => {
+                let mut edges = bridge.incoming.iter().filter(is_it).filter(|edge| edge.from == machine);
+                edges.any(|edge| edge.delivery_to(&bridge.machine) == Some(Delivery::Lossless))
+            }
+            false => {
+                let mut edges = bridge.outgoing.iter().filter(is_it);
+                edges.any(|edge| edge.delivery_to(machine) == Some(Delivery::Lossless))
+            }
+        })
     }
 
     /// How many messages of an input a stage that wants all of them did not get, and of how many.
@@ -358,7 +372,7 @@ impl Display for Text<'_> {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::network::{BridgePlan, Edge, Receiver};
+    use crate::network::{BridgePlan, Receiver};
     use crate::pipeline::{Compression, Restart};
     use crate::ports::{Topic, TopicReader, Wiring};
     use conicflow_messages::{Ellipse, Item, Object, Track};
@@ -480,7 +494,7 @@ pub(super) mod tests {
 
     #[test]
     fn what_another_machine_did_not_get_of_a_lossless_topic_makes_a_run_incomplete() {
-        let run = |delivery: Delivery, direction: &str| {
+        let with = |delivery: Delivery, direction: &str, [lost, refused]: [u64; 2]| {
             let receiver = Receiver { machine: "base".into(), delivery };
             let edge = Edge {
                 topic: Topic { name: "depth".into(), ..Topic::default() },
@@ -490,14 +504,22 @@ pub(super) mod tests {
                 to: vec![receiver],
                 compression: Compression::None,
             };
-            let bridge = BridgePlan { outgoing: vec![edge], ..BridgePlan::default() };
+            let incoming =
+                Edge { from: "base".into(), to: vec![Receiver { machine: "robot".into(), delivery }], ..edge.clone() };
+            let bridge = BridgePlan {
+                machine: "robot".into(),
+                outgoing: vec![edge],
+                incoming: vec![incoming],
+                ..BridgePlan::default()
+            };
             let mut run = summary(Box::default());
             run.stages[0].planned.runs = Runs::Bridge(Box::new(bridge));
             let [topic, direction] = ["depth", direction].map(str::to_owned);
-            let edge = EdgeReport { topic, direction, messages: 40, lost: 3, ..EdgeReport::default() };
+            let edge = EdgeReport { topic, direction, messages: 40, lost, refused, ..EdgeReport::default() };
             run.links = vec![LinkReport { machine: "base".into(), edges: vec![edge], ..LinkReport::default() }];
             run
         };
+        let run = |delivery: Delivery, direction: &str| with(delivery, direction, [3, 0]);
         let lost = |run: &Summary| run.lost().iter().map(LostMessages::to_string).collect::<Vec<_>>();
         let lossy = run(Delivery::Lossless, "out");
         assert_eq!(lost(&lossy), ["machine `base` lost 3 of 40 messages of the lossless topic `depth`"]);
@@ -505,6 +527,10 @@ pub(super) mod tests {
         assert!(lost(&run(Delivery::Latest, "out")).is_empty() && lost(&run(Delivery::Lossless, "in")).is_empty());
         let ending = Ending { hurried: true, ..lossy.ending.clone() };
         assert!(lost(&Summary { ending, ..lossy }).is_empty(), "nobody waited for them");
+        let of_topic = "messages of the lossless topic `depth`, 2 of them because they made no sense";
+        assert_eq!(lost(&with(Delivery::Lossless, "out", [3, 2])), [format!("machine `base` lost 5 of 42 {of_topic}")]);
+        assert_eq!(lost(&with(Delivery::Lossless, "in", [3, 2])), [format!("the bridge lost 2 of 42 {of_topic}")]);
+        assert!(["in", "out"].iter().all(|way| lost(&with(Delivery::Latest, way, [3, 2])).is_empty()));
     }
 
     #[test]

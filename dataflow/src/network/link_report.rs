@@ -77,6 +77,8 @@ pub struct EdgeReport {
     pub stale: u64,
     /// Messages that made no sense, and were left out.
     pub malformed: u64,
+    /// Those of them that had a place in the stream, and so are lost; the others were put in by somebody else, or come again.
+    pub refused: u64,
     /// Time from the writer's sending to the arrival of the last message, in milliseconds.
     pub age_ms: f64,
 }

@@ -55,7 +55,7 @@ pub struct Usage {
 }
 
 /// What a pipeline did between two moments.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Default, Serialize)]
 pub struct PipelineActivity {
     /// Its name.
     pub pipeline: String,
@@ -130,7 +130,7 @@ pub struct TopicActivity {
 }
 
 /// What came out of a topic for one stage.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Default, Serialize)]
 pub struct InputActivity {
     /// Name of the topic.
     pub topic: String,

@@ -3,6 +3,7 @@
 //! The two loops are [`source_loop`] and [`stage_loop`]; here is what they run with, and how what goes wrong is told.
 
 pub(crate) mod alone;
+mod doubts;
 #[cfg(test)]
 mod finishing_tests;
 pub(crate) mod handover;

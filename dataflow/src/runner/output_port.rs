@@ -1,5 +1,6 @@
 //! The output of a running stage: hands it a place to write, stamps the header and sends.
 
+use super::doubts::Doubts;
 use super::peers::Peers;
 use crate::clock::monotonic_ns;
 use crate::item_type::ItemType;
@@ -31,6 +32,7 @@ pub struct OutputPort<W: Writer> {
     sent_ns: Option<u64>,
     interval_ns: Option<u64>,
     last: Header,
+    doubts: Doubts,
     /// By stage of another machine, how many messages it has sent as far as is known here.
     relayed: BTreeMap<Text<32>, u64>,
     peers: Peers,
@@ -58,6 +60,7 @@ impl<W: Writer> OutputPort<W> {
             sent_ns: None,
             interval_ns: None,
             last: Header::default(),
+            doubts: Doubts::default(),
             relayed: BTreeMap::new(),
             peers,
             stop,
@@ -84,6 +87,10 @@ impl<W: Writer> OutputPort<W> {
             self.write(bytes)?;
         }
         let Some((writer, _)) = &mut self.port else { return Ok(()) };
+        if header.hop_count == 0 {
+            let doubts = self.doubts.about(&header, writer.item().name());
+            doubts.iter().for_each(|doubt| tracing::warn!("stage `{}` {doubt}", self.stage));
+        }
         header.number = self.number;
         let sent_ns = monotonic_ns();
         header.add_hop(Hop { stage: self.stage, received_ns, sent_ns });

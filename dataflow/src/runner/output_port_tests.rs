@@ -75,6 +75,23 @@ fn written_by(writer: &str, number: u64) -> Header {
     header
 }
 
+#[test]
+fn a_source_is_told_once_what_it_most_likely_did_not_mean_and_who_passes_it_on_is_not() {
+    let mut trial = Trial::new(&[], 0);
+    let without_camera = Header { camera: Camera::default(), ..header() };
+    let told = |header: Header, trial: &mut Trial| {
+        logged(Level::WARN, || trial.output_port.send(header, 0, Some(&[])).unwrap())
+    };
+    let passed_on = Header { camera: Camera::default(), ..written_by("source", 0) };
+    assert_eq!(told(passed_on, &mut trial), "");
+    let first = told(without_camera, &mut trial);
+    assert!(
+        first.contains("stage `stage` sends messages that no reader takes: malformed objects: an image of 0x0"),
+        "{first}"
+    );
+    assert_eq!(told(without_camera, &mut trial), "");
+}
+
 /// The numbers of the messages that wait for this reader.
 fn waiting(reader: &mut MemoryReader) -> Vec<u64> {
     from_fn(|| reader.receive().unwrap()).map(|message| message.header().number).collect()

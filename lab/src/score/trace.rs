@@ -2,7 +2,7 @@
 
 use super::observation::{Observation, Sighting, State};
 use anyhow::{Result, anyhow};
-use conicflow_messages::Hinted;
+use conicflow_messages::{Hinted, LateFile};
 use std::fs::File;
 use std::path::Path;
 
@@ -13,8 +13,11 @@ pub const TITLES: [&str; 13] = [
     "radius_m", "id",
 ];
 
-/// The file.
-pub struct Trace(csv::Writer<File>);
+/// The file. What an earlier run has left in it stays until the first frame.
+pub struct Trace {
+    file: LateFile,
+    lines: Option<csv::Writer<File>>,
+}
 
 impl Trace {
     /// Makes the file, and its folder where it is missing.
@@ -22,16 +25,11 @@ impl Trace {
     /// # Errors
     /// One of them cannot be made.
     pub fn create(path: &Path) -> Result<Self> {
-        let create = || -> std::io::Result<Self> {
-            path.parent().map_or(Ok(()), std::fs::create_dir_all)?;
-            let mut file = csv::Writer::from_writer(File::create(path)?);
-            file.write_record(TITLES)?;
-            Ok(Self(file))
-        };
-        create().map_err(|error| {
+        let file = LateFile::open(path).map_err(|error| {
             let hint = "`trace_path` wants a file in a place that you may write to";
             anyhow!(Hinted::new(format!("cannot write `{}`: {error}", path.display()), hint))
-        })
+        })?;
+        Ok(Self { file, lines: None })
     }
 
     /// Writes a frame, one line for each object that was there; what was not seen leaves its cells empty.
@@ -39,6 +37,14 @@ impl Trace {
     /// # Errors
     /// A line cannot be written.
     pub fn write(&mut self, observations: &[Observation]) -> std::io::Result<()> {
+        let lines = match &mut self.lines {
+            Some(lines) => lines,
+            none => {
+                let mut lines = csv::Writer::from_writer(self.file.begin()?.try_clone()?);
+                lines.write_record(TITLES)?;
+                none.insert(lines)
+            }
+        };
         for Observation { time_s, camera, name, truth, seen, .. } in observations {
             let Some(State { position: place, .. }) = truth else { continue };
             let number = |number: &f64| format!("{number:.6}");
@@ -49,7 +55,7 @@ impl Trace {
                 cells.extend(id.map(|id| id.to_string()));
             }
             cells.resize(TITLES.len(), String::new());
-            self.0.write_record(&cells)?;
+            lines.write_record(&cells)?;
         }
         Ok(())
     }
@@ -59,7 +65,7 @@ impl Trace {
     /// # Errors
     /// They cannot be written.
     pub fn flush(&mut self) -> std::io::Result<()> {
-        self.0.flush()
+        self.lines.as_mut().map_or(Ok(()), csv::Writer::flush)
     }
 }
 

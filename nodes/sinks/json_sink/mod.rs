@@ -15,7 +15,8 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct JsonSinkConfig {
-    /// File to write, relative to the pipeline file; "-" is standard output.
+    /// File to write, relative to the pipeline file; "-" is standard output. What an earlier run has left there stays until the
+    /// first message.
     pub path: PathBuf,
 }
 
@@ -78,6 +79,11 @@ impl Stage for JsonSink {
 
     fn step(&mut self, input: &Message<AnyByte>, _: &SideInputs, _: &mut Output<Nothing>) -> Result<(), StageError> {
         self.write(input.header, bytemuck::cast_slice(input.items), input.header.latency_ms(monotonic_ns()))
+    }
+
+    fn finish(&mut self) -> Result<(), StageError> {
+        self.lines.tell_if_earlier();
+        Ok(())
     }
 }
 

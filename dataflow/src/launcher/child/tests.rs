@@ -12,7 +12,7 @@ use std::process::Child;
 
 fn supervised(planned: PlannedStage, state: State) -> Supervised {
     let (watchdog, started) = (Watchdog::new(0, Instant::now()), Instant::now());
-    let (deaths, outsider, at_work, turns) = (VecDeque::new(), None, None, 0);
+    let (deaths, outsider, at_work, turns) = (0, None, None, 0);
     let [is_hinted, is_last, is_late] = [false; 3];
     Supervised { planned, state, watchdog, deaths, outsider, is_hinted, at_work, turns, is_last, started, is_late }
 }
@@ -250,7 +250,7 @@ fn a_stage_that_waits_to_come_back_stays_away_when_the_run_ends() {
     let (mut run, since) = (TrialRun::new(), Instant::now());
     run.tell("stage", 42, Life::Running);
     for (phase, is_over) in [(Phase::Running, false), (Phase::Stopping { since }, true)] {
-        let mut stage = supervised(stage::<Object>(), State::Waiting { until: since + MINUTE });
+        let mut stage = supervised(stage::<Object>(), State::Waiting { until: since + WORKED_WELL });
         let state = run.state(phase);
         assert_eq!((stage.look(&state), stage.is_over()), (Change::None, is_over));
         assert_eq!(state.record("stage").map(|record| record.life() == Life::Gone), Some(is_over));
@@ -344,14 +344,47 @@ fn how_a_process_ended_is_told() {
     assert!(told[2].contains("shared memory is full"), "{}", told[2]);
 }
 
+/// How often a stage with this `restart` comes back whose processes all end with `exit` when they have lived for `lived_s`, and
+/// what it tells at last; `None`: it does so for ever.
+fn comes_back(exit: u8, restart: Restart, lived_s: u64) -> Option<(usize, String)> {
+    let mut run = TrialRun::new();
+    let mut stage = supervised(stage::<Object>(), State::Done);
+    stage.planned.restart = restart;
+    let (mut times, long_ago) = (0, Instant::now().checked_sub(Duration::from_secs(lived_s)).unwrap());
+    while times < 100 {
+        let (Supervised { state, .. }, process) = ended(exit, Delivery::Latest);
+        (stage.state, stage.started) = (state, long_ago);
+        run.tell("stage", process, Life::Ended);
+        let mut change = Change::None;
+        let told = logged(|| change = stage.look(&run.state(Phase::Running)));
+        if change == Change::Lost {
+            return Some((times, told));
+        }
+        assert!(!stage.is_over(), "{told}");
+        times += 1;
+    }
+    None
+}
+
 #[test]
-fn a_stage_comes_back_later_with_each_death_and_is_given_up_after_ten_within_a_minute() {
-    let (mut deaths, begin) = (VecDeque::new(), Instant::now());
-    let mut die = |seconds: u64| back_off(&mut deaths, begin + Duration::from_secs(seconds)).map(|it| it.as_millis());
-    let waits = [100, 200, 400, 800, 1600, 3200, 5000, 5000, 5000, 5000];
-    assert_eq!([0; 10].map(&mut die), waits.map(Some));
-    assert_eq!(die(59), None);
-    assert_eq!(die(60), Some(200), "a minute later only the last one counts");
+fn a_stage_that_dies_every_few_seconds_is_given_up_and_one_that_worked_for_a_minute_lives_for_ever() {
+    use Restart::{Always, OnFailure};
+    for lived_s in [0, 7, 59] {
+        let (times, told) = comes_back(1, OnFailure, lived_s).unwrap();
+        assert_eq!(times, 10, "{lived_s} s");
+        let why = "stage `stage` ended with exit code 1, for the 11th time in a row, and never worked for long: it is given up";
+        assert!(told.contains(why) && told.contains("hint: "), "{told}");
+    }
+    assert!([60, 3600].iter().all(|lived_s| comes_back(1, OnFailure, *lived_s).is_none()));
+    assert_eq!(comes_back(0, Always, 0).map(|(times, _)| times), Some(10));
+    assert_eq!(comes_back(0, Always, 7), None, "its work may take so long");
+}
+
+#[test]
+fn a_stage_comes_back_later_with_each_death_in_a_row() {
+    let waits = [100, 200, 400, 800, 1600, 3200, 5000, 5000, 5000, 5000].map(Some);
+    assert_eq!([1, 2, 3, 4, 5, 6, 7, 8, 9, 10].map(|deaths| back_off(deaths).map(|it| it.as_millis())), waits);
+    assert_eq!(back_off(11), None);
 }
 
 #[test]

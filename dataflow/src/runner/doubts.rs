@@ -1,0 +1,104 @@
+//! What a source most likely did not mean: its readers can but take what it sends as it stands, or leave it out, so it is told here,
+//! each once and with a hint.
+
+use conicflow_messages::Header;
+
+/// The size that a time since 1970 has in another unit than nanoseconds, in the years from 2001 to 2286, and how many nanoseconds
+/// the unit has. A source that counts from its first frame comes to such a number as well, so this alone says nothing.
+const UNITS: [(u64, u64, &str); 2] =
+    [(1_000_000_000_000, 1_000_000, "milliseconds"), (1_000_000_000_000_000, 1000, "microseconds")]; // [derived]
+/// No camera takes images so soon after each other: such stamps are in another unit.
+const LEAST_RISE_NS: u64 = 100_000; // [derived]
+
+/// What was told of the messages of a source.
+#[derive(Debug, Default)]
+pub(super) struct Doubts {
+    stamp_ns: u64,
+    told: [bool; 3],
+}
+
+impl Doubts {
+    /// What is to be told of a message with items of this `kind`.
+    pub(super) fn about(&mut self, header: &Header, kind: &str) -> Vec<String> {
+        let before = std::mem::replace(&mut self.stamp_ns, header.stamp_ns);
+        let doubts = [of_stamp(before, header.stamp_ns), of_pose(header), of_check(header, kind)];
+        let new = self.told.iter_mut().zip(doubts).filter_map(|(told, doubt)| {
+            let doubt = doubt.filter(|_| !*told)?;
+            *told = true;
+            Some(doubt)
+        });
+        new.collect()
+    }
+}
+
+fn of_stamp(before: u64, stamp_ns: u64) -> Option<String> {
+    let is_close = stamp_ns > before && stamp_ns - before < LEAST_RISE_NS;
+    let (_, factor, unit) = UNITS.into_iter().find(|(size, ..)| is_close && (*size..10 * size).contains(&stamp_ns))?;
+    let hint = format!("multiply them by {factor}");
+    Some(format!("stamps its messages in {unit} ({stamp_ns}), but `stamp_ns` is in nanoseconds\n  hint: {hint}"))
+}
+
+fn of_pose(header: &Header) -> Option<String> {
+    // What was recorded may have lost its flag on the way.
+    let is_given = header.world_from_camera != [[0.0; 4]; 3] && !header.is_recorded();
+    (is_given && header.pose().is_none()).then(|| {
+        "tells where its camera is, but not by the flag `HAS_POSE`, so that nobody uses it\n  hint: `Header::set_pose` does both"
+            .to_owned()
+    })
+}
+
+fn of_check(header: &Header, kind: &str) -> Option<String> {
+    let error = header.check(kind).err()?;
+    Some(format!(
+        "sends messages that no reader takes: {error}\n  hint: the header of each needs `camera`, with the size of its images and its \
+         intrinsics, and `depth_scale`"
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use conicflow_messages::{Camera, RECORDED};
+
+    fn header(stamp_ns: u64) -> Header {
+        let camera = Camera { width: 640, height: 480, fx: 525.0, fy: 525.0, cx: 319.5, cy: 239.5 };
+        Header { stamp_ns, camera, depth_scale: 0.001, ..Header::default() }
+    }
+
+    /// What is told of messages with these stamps.
+    fn about(stamps: &[u64]) -> Vec<String> {
+        let mut doubts = Doubts::default();
+        stamps.iter().flat_map(|stamp| doubts.about(&header(*stamp), "depth")).collect()
+    }
+
+    #[test]
+    fn stamps_in_another_unit_are_told_once_with_the_factor() {
+        let [in_ms, in_us, in_ns] =
+            [33, 33_000, 33_000_000].map(|rise| move |first: u64| [0, 1, 2, 3].map(|frame| first + frame * rise));
+        let told = about(&in_ms(1_790_000_000_000));
+        let expected = "stamps its messages in milliseconds (1790000000033), but `stamp_ns` is in nanoseconds\n  \
+                        hint: multiply them by 1000000";
+        assert_eq!(told, [expected]);
+        assert!(about(&in_us(1_790_000_000_000_000))[0].ends_with("hint: multiply them by 1000"));
+        assert!(about(&in_ns(1_790_000_000_000_000_000)).is_empty());
+        assert!(about(&in_ns(1_000_000_000_000)).is_empty(), "a quarter of an hour after the first frame");
+        assert!(about(&[0, 7, 7, 3]).is_empty() && about(&[1_790_000_000_000; 3]).is_empty(), "it may be made up");
+    }
+
+    #[test]
+    fn a_pose_without_its_flag_and_an_image_without_its_camera_are_told_once_each() {
+        let mut doubts = Doubts::default();
+        let mut posed = Header { world_from_camera: [[1.0, 0.0, 0.0, 2.0]; 3], ..header(0) };
+        let told = doubts.about(&posed, "depth");
+        assert!(told.len() == 1 && told[0].ends_with("hint: `Header::set_pose` does both"), "{told:?}");
+        posed.camera = Camera::default();
+        let told = doubts.about(&posed, "depth");
+        let expected = "sends messages that no reader takes: malformed depth: an image of 0x0 pixels, ";
+        assert!(told.len() == 1 && told[0].starts_with(expected) && told[0].contains("\n  hint: "), "{told:?}");
+        assert!(doubts.about(&posed, "depth").is_empty());
+        posed = Header { flags: RECORDED, camera: header(0).camera, ..posed };
+        assert!(Doubts::default().about(&posed, "depth").is_empty());
+        posed.set_pose([[1.0, 0.0, 0.0, 2.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]);
+        assert!(Doubts::default().about(&posed, "depth").is_empty());
+    }
+}
