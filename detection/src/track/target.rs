@@ -354,6 +354,16 @@ mod tests {
         Advance { source, at_ns: at_ms * 1_000_000, elapsed_s, usual_s, new_run }
     }
 
+    #[test]
+    fn what_its_own_camera_had_no_chance_to_see_may_have_been_pushed() {
+        let config = TrackerParameters::default();
+        let mut target = Target::born(1, &ball(&config), &time(0), &config);
+        for (source, expected) in [(1, true), (0, false)] {
+            target.miss(&Advance { source, elapsed_s: 2.0 * MANOEUVRE_UNSEEN_S, ..time(0) });
+            assert_eq!(target.is_recent(), expected, "camera {source}");
+        }
+    }
+
     /// Frames of cameras that are late by different times.
     #[test]
     fn a_push_is_as_long_ago_as_the_frame_in_which_it_was_seen_last() {
