@@ -47,6 +47,12 @@ impl Life {
         self.unwatched_s += elapsed_s;
     }
 
+    /// Minus twice the logarithm of the probability that it is seen after it was missed `m` times in a row, to that of one that was
+    /// seen just now: by Laplace's rule of succession `1 / (m + 2)` to `1 / 2`.
+    pub fn cost_of_return(&self) -> f64 {
+        2.0 * (f64::from(self.misses) / 2.0).ln_1p()
+    }
+
     /// Whether it is to be given up: unseen for too long, or no longer able to be confirmed, or left by its camera.
     pub fn is_lost(&self, parameters: &TrackerParameters) -> bool {
         let TrackerParameters { confirm_window, max_coast_s, .. } = *parameters;

@@ -29,15 +29,23 @@ impl Manner {
     /// All but the fall, which only some objects may have.
     const COMMON: [Self; 3] = [Self::GoesOn, Self::IsCarried, Self::IsThrown];
 
-    /// Spectral density of the random acceleration, in m^2/s^3: a tenth, once and ten times what the parameters call usual, so that
-    /// none is far from any.
-    fn density(self, config: &TrackerParameters) -> f64 {
-        let strength = match self {
+    /// How violent it is, in units of what the parameters call usual: in steps of ten, so that none is far from any.
+    fn strength(self) -> f64 {
+        match self {
             Self::GoesOn => 0.1, // [algorithmic]
             Self::IsCarried | Self::Falls => 1.0,
             Self::IsThrown => 10.0, // [algorithmic]
-        };
-        (strength * config.acceleration).powi(2)
+        }
+    }
+
+    /// Spectral density of the random acceleration, in m^2/s^3.
+    fn density(self, config: &TrackerParameters) -> f64 {
+        (self.strength() * config.acceleration).powi(2)
+    }
+
+    /// Standard deviation of the speed at the first sight, per axis, in m/s. Most of what goes on evenly stands.
+    fn initial_speed(self, config: &TrackerParameters) -> f64 {
+        self.strength().min(1.0) * config.initial_speed_mps
     }
 }
 
@@ -70,15 +78,17 @@ pub struct Motions {
 }
 
 impl Motions {
-    /// The motion of an object that was seen once.
-    pub fn new(first: &Detection, config: &TrackerParameters) -> Self {
-        let motion = Motion::new(first.position, first.covariance, config.initial_speed_mps);
-        let [a, b, c] = Manner::COMMON.map(|manner| Model {
+    /// The motion of an object that was seen once; `falls`: it may fall.
+    pub fn new(first: &Detection, falls: bool, config: &TrackerParameters) -> Self {
+        let model = |manner: Manner| Model {
             manner,
-            probability: 1.0 / Manner::COMMON.len() as f64,
-            motion: motion.clone(),
-        });
-        Self { models: [a, b, c, Model { manner: Manner::Falls, probability: 0.0, motion }], was_seen: true }
+            probability: f64::from(u8::from(falls || manner != Manner::Falls)),
+            motion: Motion::new(first.position, first.covariance, manner.initial_speed(config)),
+        };
+        let [a, b, c] = Manner::COMMON.map(model);
+        let mut motions = Self { models: [a, b, c, model(Manner::Falls)], was_seen: true };
+        motions.share_out();
+        motions
     }
 
     /// The mean over all models.
@@ -213,7 +223,7 @@ mod tests {
 
     /// The most probable manner of a ball that was seen here in each frame, and the probabilities of all.
     fn after(fall: Option<Fall>, frames: u32, place: impl Fn(f64) -> [f64; 3]) -> (Manner, Motions) {
-        let mut motions = Motions::new(&ball(place(0.0)), &config());
+        let mut motions = Motions::new(&ball(place(0.0)), fall.is_some(), &config());
         for frame in 1..frames {
             motions.predict(PERIOD_S, fall, &config());
             motions.see(&ball(place(f64::from(frame) * PERIOD_S)), &config());

@@ -17,7 +17,7 @@ pub struct TrackerParameters {
     /// are reckoned with, too, and that an object stands.
     #[schemars(range(min = 0.0, max = 1e6))]
     pub acceleration: f64,
-    /// Standard deviation of the speed of an object seen for the first time, per axis, in m/s.
+    /// Standard deviation of the speed of an object seen for the first time, per axis, in m/s; a tenth, if it goes on evenly.
     #[schemars(range(min = 0.0, max = 1e6))]
     pub initial_speed_mps: f64,
     /// Standard deviation of a sudden change of velocity (a bounce, a push), per axis, in m/s; 0: none is looked for.

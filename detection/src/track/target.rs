@@ -1,5 +1,6 @@
 //! One object that is followed: the filters of its parameters, its shape and its life.
 
+use super::ballistic::Ballistic;
 use super::detection::{Detection, ShapeParameters, rotated};
 use super::filter::{Motion, Size};
 use super::life::Life;
@@ -82,7 +83,7 @@ impl Target {
             kind: first.kind,
             life: Life::born(config),
             votes,
-            motions: Motions::new(first, config),
+            motions: Motions::new(first, may_fall(first.kind, config).is_some(), config),
             shape: first.shape,
             sense: 1,
             common: CommonError::of(first, config.common_share),
@@ -125,7 +126,7 @@ impl Target {
 
     /// How it falls, if it may.
     fn fall(&self, has_pose: bool, config: &TrackerParameters) -> Option<Fall> {
-        let ballistic = config.ballistic.filter(|_| self.kind == ObjectKind::Sphere)?;
+        let ballistic = may_fall(self.kind, config)?;
         Some(Fall { ballistic, radius: self.shape.radius.value, has_pose })
     }
 
@@ -158,7 +159,8 @@ impl Target {
         let kind_cost = kind_cost(self.kind, detection.kind)?;
         let radius_cost = self.radius_cost(detection.shape.radius, config)?;
         let axis_cost = self.axis_cost(detection, config)?;
-        Some(motions.cost(detection, self.is_recent(), config)? + radius_cost + axis_cost + kind_cost)
+        let place_cost = motions.cost(detection, self.is_recent(), config)?;
+        Some(place_cost + radius_cost + axis_cost + kind_cost + self.life.cost_of_return())
     }
 
     /// An outlier of the radius costs no more than one at the gate.
@@ -321,6 +323,11 @@ fn with_half_angle(cylinder: Object, half_angle: Size) -> Object {
         sigma: ObjectSigma { half_angle: half_angle.variance.sqrt(), ..cylinder.sigma },
         ..cylinder
     }
+}
+
+/// How an object of a shape falls, if it may.
+fn may_fall(kind: ObjectKind, config: &TrackerParameters) -> Option<Ballistic> {
+    config.ballistic.filter(|_| kind == ObjectKind::Sphere)
 }
 
 /// Cost of a target of one shape being seen as another; only cylinders and cones are taken for each other.

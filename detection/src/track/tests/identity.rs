@@ -104,6 +104,45 @@ fn crossing_objects_keep_their_identities() {
     }
 }
 
+/// How often two sights of one of `count` equal balls, 3 cm apart, belong to different tracks, in two and a half seconds each of 20
+/// runs; noise across and along the view, and which ball is hidden when.
+fn switches(count: u32, rate_hz: f64, sigma_m: [f64; 2], is_hidden: impl Fn(u32, f64) -> bool) -> u32 {
+    let mut switches = 0;
+    for seed in 0..20 {
+        let (mut tracker, mut noise) = (Tracker::new(TrackerParameters::default()), Noise(300 + seed));
+        let mut before = vec![None; count as usize];
+        for frame in 0..(2.5 * rate_hz) as u64 {
+            let time = frame as f64 / rate_hz;
+            let seen = (0..count).filter(|ball| !is_hidden(*ball, time)).map(|ball| {
+                let [x, y, z] = [sigma_m[0], sigma_m[0], sigma_m[1]].map(|sigma| sigma * noise.normal());
+                let center = Vector3::new(0.03 * f64::from(ball) + x, y, 1.5 + z);
+                let variances = [sigma_m[0], sigma_m[0], sigma_m[1]].map(|sigma| sigma * sigma);
+                let mut object = Object { points: ball, radius: 0.01 + 0.001 * noise.normal(), ..sphere(center) };
+                object.sigma.center = Matrix3::from_diagonal(&variances.into()).into();
+                object
+            });
+            let objects: Vec<_> = seen.collect();
+            let tracks = tracker.update(&objects, 1 + (time * 1e9) as u64);
+            for track in tracks.iter().filter(|track| track.misses == 0) {
+                let before = before[track.object.points as usize].replace(track.id);
+                switches += u32::from(before.is_some_and(|before| before != track.id));
+            }
+        }
+    }
+    switches
+}
+
+#[test]
+fn equal_balls_that_stand_close_keep_their_identities_from_the_first_frame_on() {
+    assert_eq!(switches(5, 30.0, [0.001, 0.003], |_, _| false), 0);
+}
+
+#[test]
+fn what_is_hidden_does_not_take_the_sights_of_its_neighbour() {
+    let switches = switches(2, 100.0, [0.005, 0.02], |ball, time| ball == 1 && (1.0..1.9).contains(&time));
+    assert!(switches < 20, "{switches} switches");
+}
+
 /// CLEAR-MOT of three balls that cross at one place at the same time, two of them hidden there, over many runs of noise.
 #[test]
 fn crossing_balls_are_not_mixed_up() {
