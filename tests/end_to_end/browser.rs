@@ -112,8 +112,9 @@ fn a_browser_pauses_a_run_and_steps_it() {
 fn a_browser_shows_two_variants_one_over_the_other() {
     let playground = Playground::with_pipeline(&simulated());
     playground.conicflow(&[&["compare", "--record", "kept", "--a"], &PAPER[..]].concat()).expect_code(0);
-    for (name, width, height) in [("variants", 1400, 1000), ("variants_phone", 500, 900)] {
-        in_each_browser(width, height, |browser| {
+    in_each_browser(1400, 1000, |browser| {
+        for (name, width, height) in [("variants", 1400, 1000), ("variants_phone", 500, 900)] {
+            browser.resize(width, height);
             let page = Page::open(&playground, &["kept/a.mcap", "kept/b.mcap"]);
             browser.visit(&page.url());
             browser.wait("both are named", "document.querySelectorAll('#variants .swatch').length === 2");
@@ -126,6 +127,8 @@ fn a_browser_shows_two_variants_one_over_the_other() {
             let is_narrow = "document.documentElement.scrollWidth <= window.innerWidth";
             assert_eq!(browser.value(is_narrow), true, "nothing is wider than the window");
             browser.look(name);
-        });
-    }
+            // A page that is left asks for nothing more, and cannot complain that nobody answers.
+            browser.visit("about:blank");
+        }
+    });
 }

@@ -142,7 +142,7 @@ impl Browser {
         }
     }
 
-    fn resize(&self, width: u32, height: u32) {
+    pub fn resize(&self, width: u32, height: u32) {
         self.tell("/window/rect", "WebDriver:SetWindowRect", &json!({ "width": width, "height": height }));
     }
 
