@@ -4,6 +4,7 @@ import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import textwrap
@@ -50,12 +51,21 @@ def test_the_stage_of_the_document_passes_on_the_nearest_objects(playground, mon
 def test_topics_are_read_as_the_document_says(playground):
     (block,) = blocks("python", "Look at a running pipeline")
     playground.write("pipeline.toml", OBJECTS.format(rate_hz=50))
-    process = playground.start("run", "--quiet", "--for", "5s")
+    process = playground.start("run", "--quiet")
     playground.wait_until("there are objects", lambda: (playground.folder / "objects.jsonl").exists())
     program = textwrap.dedent(f"import conicflow\n{block}")
-    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
-    assert ended.returncode == 0 and ended.stdout.count("radius") > 10, ended.stderr
-    playground.end(process)
+    with open(playground.folder / "printed", "w+") as printed:
+        reader = subprocess.Popen([sys.executable, "-u", "-c", program], stdout=printed, stderr=subprocess.PIPE, text=True)
+        playground.running.append(reader)
+
+        def objects():
+            return (playground.folder / "printed").read_text().count("radius")
+
+        playground.wait_until("there are objects", lambda: reader.poll() is not None or objects() > 10)
+        process.send_signal(signal.SIGINT)
+        playground.end(process)
+        playground.end(reader)
+        assert objects() > 10
 
 
 def test_who_has_a_camera_runs_the_example(playground, monkeypatch):

@@ -91,19 +91,19 @@ fn who_has_a_robot_with_ros_reaches_its_router() {
     run.end();
 }
 
-/// Both machines are one host, in runtime folders of their own, as the file stands.
+/// Both machines are one host, in runtime folders of their own, as the file stands, but for less time.
 #[test]
 fn who_has_two_machines_runs_the_halves_of_a_pipeline() {
     let Some(host) = Host::new() else { return };
     let [robot, base] = commands("two machines")[..] else { panic!("two commands") };
-    let runs = [robot, base].map(|command| {
+    let runs = [(robot, "--frames 90"), (base, "--set console.period_s=0.1")].map(|(command, shorter)| {
         let playground = Playground::new();
-        let mut shell = shell(&playground, command);
+        let mut shell = shell(&playground, &format!("{command} {shorter}"));
         (host.start(shell.current_dir(ROOT)), playground)
     });
     let [robot, base] = runs.map(|(run, _playground)| run.wait().expect_code(0));
     let [sent, lost, _] = link(&robot, "base", "ellipses");
-    assert!(sent > 200 && lost == 0, "{}", robot.stderr);
+    assert!(sent > 60 && lost == 0, "{}", robot.stderr);
     assert!(base.stdout.lines().count() > 5, "{}", base.stdout);
 }
 

@@ -256,7 +256,7 @@ fn kill_the_bridge_of(killed: usize) -> u64 {
     let endpoint = loopback();
     let machines = machines(&apart(&endpoint, &endpoint));
     let mut runs = [start(&machines[0], "robot"), start(&machines[1], "base")];
-    let mut go_on = || wait_for_frames(&mut runs[1], &machines[1], 200);
+    let mut go_on = || wait_for_frames(&mut runs[1], &machines[1], 100);
     for _ in 0..4 {
         go_on();
         kill(&machines[killed], "bridge");

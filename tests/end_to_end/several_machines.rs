@@ -133,11 +133,12 @@ fn the_pipeline_for_two_machines_runs_as_the_readme_says() {
     // Another test may have that port.
     let [robot, base] = machines(&TEXT.replace("7447", &port));
     robot.conicflow(&["validate"]).expect_code(0);
-    // Another test runs it for as long as its file says.
-    let runs = [robot.start(&["run", "--machine", "robot", "--frames", "150"]), start(&base, "base")];
+    let shorter = ["--set", "console.period_s=0.1"];
+    let base_run = base.start(&[&["run", "--machine", "base"], &shorter[..]].concat());
+    let runs = [robot.start(&["run", "--machine", "robot", "--frames", "60"]), base_run];
     let [robot_ended, base_ended] = runs.map(|run| run.wait().expect_code(0));
     let [sent, lost, _] = link(&robot_ended, "base", "ellipses");
-    assert!(sent > 50 && lost == 0, "{}", robot_ended.stderr);
+    assert!(sent > 20 && lost == 0, "{}", robot_ended.stderr);
     assert!(base_ended.stdout.lines().count() > 5, "{}", base_ended.stdout);
 }
 

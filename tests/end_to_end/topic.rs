@@ -45,7 +45,7 @@ fn processor_ns(processes: impl IntoIterator<Item = u32>) -> u64 {
 #[test]
 fn who_looks_on_costs_a_run_that_goes_flat_out_no_processor_time() {
     const PAIRS: usize = 8;
-    const FRAMES: u64 = 300;
+    const FRAMES: u64 = 150;
     let (playground, mut run) = at_work(TRACKING, 0);
     let stages = stages_of(run.id());
     let newest = || playground.newest("tracks.jsonl");

@@ -10,7 +10,6 @@ use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::process::{ChildStdout, Command, Stdio};
-use std::sync::{Mutex, PoisonError};
 use tempfile::TempDir;
 
 /// Without a graphics card, and without a word to the network.
@@ -58,9 +57,6 @@ enum Driver {
 
 /// Does this in each browser that there is, in a window of this size, and says which there is not.
 pub fn in_each_browser(width: u32, height: u32, mut look: impl FnMut(&Browser)) {
-    // They draw with the processor: several at once take longer than their drivers wait for them.
-    static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
-    let _one = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     for start in [Browser::chromium, Browser::firefox] {
         if let Some(browser) = start(width, height) {
             look(&browser);
@@ -142,12 +138,17 @@ impl Browser {
         }
     }
 
-    fn resize(&self, width: u32, height: u32) {
+    pub fn resize(&self, width: u32, height: u32) {
         self.tell("/window/rect", "WebDriver:SetWindowRect", &json!({ "width": width, "height": height }));
     }
 
     pub fn visit(&self, url: &str) {
         self.tell("/url", "WebDriver:Navigate", &json!({ "url": url }));
+    }
+
+    /// Leaves a page, which asks for nothing more then, and cannot complain that nobody answers.
+    pub fn leave(&self) {
+        self.visit("about:blank");
     }
 
     /// The value of an expression in the page.

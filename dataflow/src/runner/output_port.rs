@@ -15,7 +15,7 @@ use std::fmt::{self, Display, Formatter};
 use std::time::{Duration, Instant};
 
 /// How long the first message waits for readers that want only the newest.
-const PATIENCE_WITH_LIVE_READERS: Duration = Duration::from_secs(5);
+pub(super) const PATIENCE_WITH_LIVE_READERS: Duration = Duration::from_secs(5);
 /// How often a writer looks whether readers have come or gone.
 const READER_CHECK_PERIOD: Duration = Duration::from_millis(10);
 /// How often the end is announced again to those whose full queue may not have taken it, and whoever waits for a reader looks
