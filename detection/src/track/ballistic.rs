@@ -1,5 +1,5 @@
 //! Free fall: the motion of a thrown ball, which goes on while nobody sees it, and bounces. A ball that lies does not fall: which of
-//! both it does is told by its sights ([`super::motions`]).
+//! both it does is told by its sights (`motions.rs`).
 
 use super::filter::Motion;
 use crate::gravity;
