@@ -100,8 +100,12 @@ impl NewShare {
             let radius_px = now.radii_px[side] / now.points[side];
             let [(a, variance_a), (b, variance_b)] =
                 [now, &before.learned].map(|learned| learned.outside(side, radius_px));
-            self.squares += (a - b).powi(2) / (variance_a + variance_b / before.images);
-            self.pairs += 1.0;
+            let square = (a - b).powi(2) / (variance_a + variance_b / before.images);
+            // What counts no more, such as that of another camera, tells nothing, nor what no point determines.
+            if before.kept > 0.0 && square.is_finite() {
+                self.squares += square;
+                self.pairs += 1.0;
+            }
         }
     }
 
