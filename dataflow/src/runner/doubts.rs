@@ -7,8 +7,8 @@ use conicflow_messages::Header;
 /// the unit has. A source that counts from its first frame comes to such a number as well, so this alone says nothing.
 const UNITS: [(u64, u64, &str); 2] =
     [(1_000_000_000_000, 1_000_000, "milliseconds"), (1_000_000_000_000_000, 1000, "microseconds")]; // [derived]
-/// No camera takes images so soon after each other: such stamps are in another unit.
-const LEAST_RISE_NS: u64 = 100_000; // [derived]
+/// No camera takes 10,000 images a second: stamps that rise by less are in another unit. Chosen, with a wide margin on both sides.
+const LEAST_RISE_NS: u64 = 100_000;
 
 /// What was told of the messages of a source.
 #[derive(Debug, Default)]
