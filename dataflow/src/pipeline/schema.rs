@@ -141,6 +141,8 @@ impl<'a> Checker<'a> {
                 (None, None, Some(high)) => format!("up to {high}"),
                 (None, None, None) => "a finite number".to_owned(),
             };
+            let number = format!("{number:?}"); // `1e308` in place of 309 digits, but `65.0`, too
+            let number = number.trim_end_matches(".0");
             self.fault(&value.place, format!("`{key}` is {number}, allowed is {allowed}"), described);
         }
     }

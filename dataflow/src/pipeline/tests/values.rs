@@ -194,6 +194,7 @@ fn parameters_are_of_the_type_and_in_the_range_that_their_node_says() {
     for (line, fault) in [
         ("rate_hz = 0", "`rate_hz` is 0, allowed is more than 0, up to 100"),
         ("rate_hz = 100.5", "`rate_hz` is 100.5, allowed is more than 0, up to 100"),
+        ("rate_hz = 1e308", "`rate_hz` is 1e308, allowed is more than 0, up to 100"),
         ("speed = -1", "`speed` is -1, allowed is more than 0"),
         ("count = 0", "`count` is 0, allowed is 1 or more"),
         ("count = 1.5", "`count` wants an integer, this is a number"),
