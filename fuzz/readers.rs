@@ -6,13 +6,15 @@ use conicflow_bridge::{NETWORK, decode_message, encode_message};
 use conicflow_dataflow::pipeline::{Compression, Pipeline, SourceText};
 use conicflow_dataflow::{AnyMessage, BUILT_IN, ItemType, Registry};
 use conicflow_detection::camera::Intrinsics;
+use conicflow_lab::score::{RecordedTolerances, RecordedTruth};
 use conicflow_lab::simulator::scene::Scene;
 use conicflow_lab::simulator::scene_values::{SceneTemplate, Values};
 use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
 use conicflow_messages::{Header, Layout, Object};
 use conicflow_nodes::NODES;
-use conicflow_nodes::sources::image_source::{self, Recording};
+use conicflow_nodes::sources::image_source::{self, Playback, PosesConfig, Recording};
 use conicflow_nodes::sources::mcap_source::{Config, Replay};
+use conicflow_ros::{CameraInfo, CompressedImage, Image, PointCloud, Transforms, Undecodable};
 use std::fs;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
@@ -21,13 +23,18 @@ use tempfile::TempDir;
 pub type Reader = (&'static str, fn(&[u8]) -> bool);
 
 /// All kinds of bytes, named as their corpora.
-pub const READERS: [Reader; 8] = [
+pub const READERS: [Reader; 13] = [
     ("wire", wire),
     ("pcd", pcd),
     ("png", png),
     ("tiff", tiff),
     ("npy", npy),
+    ("camera", camera),
+    ("list", list),
+    ("poses", poses),
     ("mcap", mcap),
+    ("ros", ros),
+    ("truth", truth),
     ("scene", scene),
     ("pipeline", pipeline),
 ];
@@ -46,7 +53,8 @@ pub fn wire(bytes: &[u8]) -> bool {
         let message = AnyMessage { header: &header, item, bytes: &items };
         message.write_json(None, &mut Vec::new()).unwrap();
         let again = encode_message(place, item, &header, &items, Compression::Lz4).unwrap();
-        assert_eq!(decode_message(&again, item), Ok((place, header, items)));
+        // As text, in which what is not a number equals itself: a pose that the header does not say to be one may be anything.
+        assert_eq!(format!("{:?}", decode_message(&again, item).unwrap()), format!("{:?}", (place, header, items)));
         true
     };
     BUILT_IN.iter().chain([&grasps()]).any(accepts)
@@ -72,10 +80,64 @@ pub fn npy(bytes: &[u8]) -> bool {
     is_fine(first_frame("depth.npy", bytes))
 }
 
+/// A file that tells the camera, beside a frame.
+pub fn camera(bytes: &[u8]) -> bool {
+    is_fine(played(&[("camera.json", bytes)], PosesConfig::None))
+}
+
+/// A list of frames, as in folders of TUM RGB-D.
+pub fn list(bytes: &[u8]) -> bool {
+    is_fine(played(&[("depth.txt", bytes)], PosesConfig::None))
+}
+
+/// Where the camera was in two frames.
+pub fn poses(bytes: &[u8]) -> bool {
+    let list = b"1.00 frame.png\n1.03 frame.png\n";
+    is_fine(played(&[("depth.txt", list), ("frame.pose.txt", bytes)], PosesConfig::Path("frame.pose.txt".into())))
+}
+
 /// A recording, of which each depth image is read, and each list of objects that conicflow wrote.
 pub fn mcap(bytes: &[u8]) -> bool {
     let objects = is_fine(replayed(bytes, &ItemType::of::<Object>()));
     is_fine(replayed(bytes, &ItemType::of::<u16>())) || objects
+}
+
+/// A message of ROS, as one of each kind that is read.
+pub fn ros(bytes: &[u8]) -> bool {
+    let transforms = || {
+        let mut transforms = Transforms::default();
+        transforms.add(bytes, false)?;
+        let names = transforms.names();
+        for (target, source) in names.iter().zip(names.iter().rev()) {
+            _ = transforms.pose(target, source, 1);
+        }
+        Ok(())
+    };
+    let camera = || {
+        let info = CameraInfo::read(bytes)?;
+        _ = (info.is_calibrated(), info.fits((8, 6)), info.camera((8, 6), false), info.camera((8, 6), true));
+        Ok(())
+    };
+    let cloud = || {
+        let (cloud, camera) = (PointCloud::read(bytes)?, SimulatorParameters::default().camera());
+        _ = (cloud.depths(), cloud.is_of(&camera));
+        Ok(())
+    };
+    let outcomes: [Result<(), Undecodable>; 5] = [
+        Image::read(bytes).and_then(|image| image.depths()).map(drop),
+        CompressedImage::read(bytes).and_then(|image| image.depths()).map(drop),
+        camera(),
+        cloud(),
+        transforms(),
+    ];
+    // What is told of those that are none has to be printable.
+    outcomes.map(|outcome| outcome.map_err(|error| error.to_string()).is_ok()).contains(&true)
+}
+
+/// What is truly in recorded frames.
+pub fn truth(bytes: &[u8]) -> bool {
+    let load = |path: PathBuf| RecordedTruth::load(&path, &RecordedTolerances::default());
+    is_fine(written("truth.json", bytes).and_then(load).map(drop))
 }
 
 /// A scene, of which two small frames are rendered.
@@ -121,6 +183,23 @@ fn first_frame(name: &str, bytes: &[u8]) -> Result<()> {
     Ok(())
 }
 
+/// Plays a folder that holds a frame and these files.
+fn played(files: &[(&str, &[u8])], poses: PosesConfig) -> Result<()> {
+    let folder = folder()?;
+    for (name, bytes) in files.iter().chain([&("frame.png", include_bytes!("corpus/png/good").as_slice())]) {
+        fs::write(folder.path().join(name), bytes)?;
+    }
+    let tells_camera = files.iter().any(|(name, _)| *name == "camera.json");
+    let intrinsics = (!tells_camera).then_some(Intrinsics { fx: 50.0, fy: 50.0, cx: 3.0, cy: 2.0 });
+    let path = Some(folder.path().to_owned());
+    let config = image_source::Config { path, intrinsics, poses, ..image_source::Config::default() };
+    let mut playback = Playback::open(&config, folder.path(), 0, 0)?;
+    while let Some(loaded) = playback.load()? {
+        playback.decode(&loaded, &mut vec![0; loaded.pixels()])?;
+    }
+    playback.finish()
+}
+
 /// Replays all messages with such items.
 fn replayed(bytes: &[u8], item: &ItemType) -> Result<()> {
     let config = Config { path: Some(written("run.mcap", bytes)?), ..Config::default() };
@@ -134,9 +213,13 @@ fn replayed(bytes: &[u8], item: &ItemType) -> Result<()> {
 /// Writes a file. Fuzzers do it so often that the folder stays, and lies in memory where there is such.
 fn written(name: &str, bytes: &[u8]) -> Result<PathBuf> {
     thread_local! {
-        static FOLDER: TempDir = TempDir::new_in("/dev/shm").or_else(|_| TempDir::new()).unwrap();
+        static FOLDER: TempDir = folder().unwrap();
     }
     let path = FOLDER.with(|folder| folder.path().join(name));
     fs::write(&path, bytes)?;
     Ok(path)
+}
+
+fn folder() -> Result<TempDir> {
+    Ok(TempDir::new_in("/dev/shm").or_else(|_| TempDir::new())?)
 }
