@@ -244,13 +244,14 @@ impl Clock {
         let rate_hz = if rate_hz > 0.0 { rate_hz } else { USUAL_RATE_HZ };
         let span_ns = recording.stamps_ns().map_or(0, |(first, last)| last.saturating_sub(first));
         let steps = recording.len().saturating_sub(1).max(1) as u64;
-        let round_ns = if span_ns > 0 { span_ns + span_ns / steps } else { (1e9 / rate_hz).round() as u64 };
+        let round_ns =
+            if span_ns > 0 { span_ns.saturating_add(span_ns / steps) } else { (1e9 / rate_hz).round() as u64 };
         Self { rate_hz, slots: recording.slots(), round_ns }
     }
 
     pub(super) fn stamp_ns(&self, frame: &Frame, round: u64) -> u64 {
         match frame.stamp_ns {
-            Some(stamp_ns) => stamp_ns + round * self.round_ns,
+            Some(stamp_ns) => stamp_ns.saturating_add(round.saturating_mul(self.round_ns)),
             None => ((round * self.slots + frame.slot) as f64 * 1e9 / self.rate_hz).round() as u64,
         }
     }
