@@ -16,7 +16,7 @@
 //! and what the scatter of the contour tells of its noise ([`Contour::noise_evidence`]), can be used for the next object.
 
 use crate::space::dot;
-use crate::{Coefficients, Information, Surface, SurfaceFit, Vector3};
+use crate::{Coefficients, GradientNoise, Information, Surface, SurfaceFit, Vector3};
 use nalgebra::{Matrix4, SMatrix, SVector, Vector2, Vector4};
 
 /// Sides of an object that have a bias of their own: the first and the last pixel of its lines.
@@ -50,6 +50,8 @@ pub struct ContourNoise {
     pub point: Vector2<f64>,
     /// How many neighbouring lines share their noise, at least 1.
     pub shared_lines: f64,
+    /// How many share that of the points of the surface, which may be means over several lines.
+    pub surface_lines: f64,
     /// By how much whole sides are off.
     pub bias: ContourBias,
 }
@@ -205,8 +207,8 @@ impl Contour {
     /// No points yet.
     pub fn clear(&mut self, noise: ContourNoise) {
         self.points.clear();
-        // The weights count the points of all lines as if each had noise of its own.
-        self.prior = noise.bias.covariance.try_inverse().unwrap_or_default() * noise.shared_lines;
+        // The weights count the points of the surface as if each line had noise of its own.
+        self.prior = noise.bias.covariance.try_inverse().unwrap_or_default() * noise.surface_lines;
         self.noise = noise;
     }
 
@@ -238,6 +240,11 @@ impl Contour {
             self.far_off += usize::from(seen.used && !is_near);
             seen.used &= is_near;
         }
+    }
+
+    /// How many times as much a point counts as if it shared its noise with as many lines as those of the surface.
+    fn times(&self) -> f64 {
+        self.noise.surface_lines / self.noise.shared_lines
     }
 
     /// Number of points.
@@ -279,7 +286,7 @@ impl Contour {
     /// of which each counts up to the gate (MSAC: Torr and Zisserman, "MLESAC", 2000), and surfaces can be compared by it
     /// although each is near other points.
     pub fn least_left_out(&self) -> f64 {
-        self.far_off as f64 * GATE * GATE
+        self.far_off as f64 * GATE * GATE * self.times()
     }
 
     /// The median of how far the points of a side are off, within what its offset may be.
@@ -312,7 +319,7 @@ impl Contour {
         for seen in self.points.iter().filter(|seen| seen.used) {
             let (error, gradient) = seen.point.error_gradient(q);
             let slope = SVector::<f64, N>::from_fn(|i, _| dot(&gradient, &derivatives[i]));
-            sums.add(error - seen.expected, &slope, seen, 1.0 / seen.variance);
+            sums.add(error - seen.expected, &slope, seen, self.times() / seen.variance);
         }
         sums.slopes.fill_upper_triangle_with_lower_triangle();
         sums
@@ -322,25 +329,28 @@ impl Contour {
     /// object is off by itself with the covariance `own`. `None` where the points alone do not determine the surface.
     ///
     /// Beside the bias c, of which nothing is known, the contour is off by the own part a, and the fit by x: the weighted sum of
-    /// squares `(e + J x - U (c + a))' w (e + J x - U (c + a)) + a' own^-1 a + x' A x + 2 g' x`, A and g being the points' matrix
-    /// and half their gradient, is minimised over a, then over x; what is left is a function of c alone.
+    /// squares `(e + J x - U (c + a))' w (e + J x - U (c + a)) + a' own^-1 a + x' P x + 2 g' x` is minimised over a, then over x;
+    /// what is left is a function of c alone. P and g are such that the points alone tell the x that their fit tells, with the
+    /// covariance by which their noise moves it, `P^-1 = A^-1 B A^-1` of [`GradientNoise`].
     pub fn bias_evidence<S: Surface<N>, const N: usize>(
         &self,
         fit: &SurfaceFit<S, N>,
+        scatter: &GradientNoise<N>,
         own: &Matrix4<f64>,
     ) -> Option<Information<4>> {
         let sums = self.sums(&fit.surface.coefficients(), &fit.surface.derivatives());
         // The fit is where the gradients of points and contour cancel out.
-        let points = fit.inverse.try_inverse()? - fit.contour;
-        let points_gradient = -sums.term(&self.prior).gradient;
-        points.cholesky()?;
+        let told = fit.inverse.try_inverse()? - fit.contour;
+        told.cholesky()?;
+        let by_noise = told * (scatter.matrix * self.noise.surface_lines.recip()).cholesky()?.inverse();
+        let (points, points_gradient) = (by_noise * told, by_noise * -sums.term(&self.prior).gradient);
         let Sums { shared, shared_error, shared_slope, .. } = sums;
         let mean = &self.noise.bias.mean;
         // Nothing is expected of c: the expectation is put back.
         let error = shared_error + shared * mean;
         let slope_error = sums.slope_error + shared_slope.transpose() * mean;
         // over a
-        let own = (shared + own.try_inverse()? * self.noise.shared_lines).try_inverse()?;
+        let own = (shared + own.try_inverse()? * self.noise.surface_lines).try_inverse()?;
         let rest = Matrix4::identity() - shared * own;
         let slope = rest * shared_slope;
         let matrix = points + sums.slopes - shared_slope.transpose() * own * shared_slope;
@@ -349,7 +359,7 @@ impl Contour {
         let inverse = matrix.cholesky()?.inverse();
         let matrix = rest * shared - slope * inverse * slope.transpose();
         let vector = rest * error - slope * (inverse * gradient);
-        Some(Information { matrix, vector } * self.noise.shared_lines.recip())
+        Some(Information { matrix, vector } * self.noise.surface_lines.recip())
     }
 
     /// What the scatter of the contour about a surface, after its bias, tells of the variance of its points: the squared error of

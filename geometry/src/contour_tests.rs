@@ -1,7 +1,7 @@
 //! Tests of contours on silhouettes of known surfaces.
 
 use super::*;
-use crate::simulated::{CAMERA, Random, exact, of_exact, seen};
+use crate::simulated::{CAMERA, Random, exact, hit, of_exact, seen};
 use crate::space::monomials;
 use crate::{Conical, QUADRIC_TERMS, Scan, SpaceMoments, Sphere, fit_with_contour, section_of};
 use std::ops::Range;
@@ -13,7 +13,7 @@ fn biased(mean: Vector4<f64>, sigmas: [f64; 2]) -> ContourBias {
 
 fn noise() -> ContourNoise {
     let bias = biased(Vector4::zeros(), [1.0, 0.05]);
-    ContourNoise { point: Vector2::new(0.25, 0.0009), shared_lines: 1.0, bias }
+    ContourNoise { point: Vector2::new(0.25, 0.0009), shared_lines: 1.0, surface_lines: 1.0, bias }
 }
 
 fn cup() -> Conical {
@@ -160,10 +160,15 @@ fn a_bias_is_across_the_outline() {
     assert!(rest < 0.02, "{rest} of a variance, where the lines nearly graze the outline, too");
 }
 
+const BALL: Sphere = Sphere { center: Vector3::new(0.0, 0.0, 1.2), radius: 0.1 };
+
 /// A ball that is seen with depths that scatter by so many metres, its contour too wide by `outwards` pixels, fitted with both.
 fn ball(sigma: f64, outwards: f64, noise: ContourNoise) -> (SurfaceFit<Sphere, 4>, Contour) {
-    let ball = Sphere { center: Vector3::new(0.0, 0.0, 1.2), radius: 0.1 };
-    let mut random = Random(5);
+    ball_by(&mut Random(5), sigma, outwards, noise)
+}
+
+fn ball_by(random: &mut Random, sigma: f64, outwards: f64, noise: ContourNoise) -> (SurfaceFit<Sphere, 4>, Contour) {
+    let ball = BALL;
     let points = seen(&ball.coefficients(), 97..143, 0.0, |z| (z + sigma * random.normal(), sigma * sigma));
     let mut pool = SpaceMoments::default();
     pool.add(&points, 1.0 / (sigma * sigma));
@@ -172,11 +177,73 @@ fn ball(sigma: f64, outwards: f64, noise: ContourNoise) -> (SurfaceFit<Sphere, 4
     (fit_with_contour(&pool.normalized().unwrap(), &contour, &ball).unwrap(), contour)
 }
 
+/// The scatter of points of which each is off as far across the surface as along the ray, as their weights have it.
+fn even(fit: &SurfaceFit<Sphere, 4>, contour: &Contour) -> GradientNoise<4> {
+    let mut scatter = GradientNoise::new(&fit.surface);
+    scatter.matrix = (fit.inverse.try_inverse().unwrap() - fit.contour) * contour.noise.surface_lines;
+    scatter
+}
+
+/// That of the points of the ball.
+fn along_rays(fit: &SurfaceFit<Sphere, 4>, sigma: f64) -> GradientNoise<4> {
+    let mut scatter = GradientNoise::new(&fit.surface);
+    for plane in (97..143).map(|row| CAMERA.plane(Scan::Row, f64::from(row))) {
+        let section = section_of(&BALL.coefficients(), &plane);
+        for x in (0..320).map(|u| CAMERA.ray_slope(Scan::Row, f64::from(u))) {
+            if let Some(z) = hit(&section, x, plane.stretch()) {
+                scatter.add(&plane.to_camera([z * x, z * plane.stretch()]), 1.0 / (sigma * sigma));
+            }
+        }
+    }
+    scatter
+}
+
+/// Estimate of a bias of the first side at the radius of the ball, and its standard deviation.
+fn at_the_ball(shown: Information<4>) -> (f64, f64) {
+    let ContourBias { mean, covariance } = noise().bias;
+    let (mean, covariance) = (shown + Information::of(&mean, &covariance).unwrap()).estimate().unwrap();
+    let parts = Vector4::new(1.0, 24.0, 0.0, 0.0);
+    (parts.dot(&mean), parts.dot(&(covariance * parts)).sqrt())
+}
+
+#[test]
+fn what_is_told_of_the_bias_is_as_far_off_as_it_says_although_rays_graze_what_shows_it() {
+    let own = biased(Vector4::zeros(), [1e-3, 1e-5]).covariance;
+    let exact = ContourNoise { point: Vector2::new(1e-4, 0.0), ..noise() };
+    let (mut random, mut squares, tries) = (Random(11), [0.0; 2], 100);
+    for _ in 0..tries {
+        let (fit, contour) = ball_by(&mut random, 0.004, 0.0, exact);
+        for (square, scatter) in squares.iter_mut().zip([along_rays(&fit, 0.004), even(&fit, &contour)]) {
+            let (told, sigma) = at_the_ball(contour.bias_evidence(&fit, &scatter, &own).unwrap());
+            *square += (told / sigma).powi(2) / f64::from(tries);
+        }
+    }
+    let [along, even] = squares;
+    assert!((0.75..1.35).contains(&along), "{squares:?}");
+    assert!(even < 0.7 * along, "as if noise moved points across the surface: {squares:?}");
+}
+
+#[test]
+fn where_points_are_means_over_four_lines_the_contour_counts_as_that_of_each_line() {
+    let own = biased(Vector4::zeros(), [0.05, 1e-3]).covariance;
+    let bias = ContourBias { covariance: noise().bias.covariance * 0.25, ..noise().bias };
+    let variance = noise().point;
+    // Points that tell a fourth, beside a contour that tells all: the same as a contour of a fourth of the variance, but for all.
+    let told = |noise: ContourNoise, own: &Matrix4<f64>| {
+        let (fit, contour) = ball(0.004, 0.4, noise);
+        contour.bias_evidence(&fit, &even(&fit, &contour), own).unwrap()
+    };
+    let means = told(ContourNoise { surface_lines: 4.0, ..noise() }, &own);
+    let quarter = told(ContourNoise { point: variance * 0.25, bias, ..noise() }, &(own * 0.25));
+    assert!((means.matrix * 4.0 - quarter.matrix).amax() < 1e-6 * quarter.matrix.amax());
+    assert!((means.vector * 4.0 - quarter.vector).amax() < 1e-6 * quarter.vector.amax());
+}
+
 #[test]
 fn what_points_and_contour_tell_of_the_bias_makes_the_next_fit_better() {
     let own = biased(Vector4::zeros(), [0.05, 1e-3]).covariance;
     let (well_seen, contour) = ball(0.004, 0.8, noise());
-    let shown = contour.bias_evidence(&well_seen, &own).unwrap();
+    let shown = contour.bias_evidence(&well_seen, &even(&well_seen, &contour), &own).unwrap();
     let ContourBias { mean, covariance } = noise().bias;
     let (mean, covariance) = (shown + Information::of(&mean, &covariance).unwrap()).estimate().unwrap();
     let bias = ContourBias { mean, covariance };
@@ -198,7 +265,7 @@ fn the_evidence_has_slope_and_curvature_of_the_least_cost_over_the_bias() {
         fit.square_sum + fit.contour_sum
     };
     let (fit, contour) = at(mean);
-    let Information { matrix, vector } = contour.bias_evidence(&fit, &own).unwrap();
+    let Information { matrix, vector } = contour.bias_evidence(&fit, &even(&fit, &contour), &own).unwrap();
     let slope = matrix * mean - vector;
     for (i, h) in [0.05, 2e-3, 0.05, 2e-3].into_iter().enumerate() {
         let [less, same, more] = [-h, 0.0, h].map(|step| least_cost(mean + Vector4::ith(i, step)));
@@ -234,8 +301,10 @@ fn four_lines_that_share_their_noise_tell_a_fourth_of_what_they_would_by_a_bias_
     let sigmas = [[1.0, 0.05], [0.3, 5e-3]];
     let told = |shared_lines: f64, factor: f64| {
         let [bias, own] = sigmas.map(|sigmas| biased(Vector4::zeros(), sigmas.map(|sigma| factor * sigma)));
-        let (fit, contour) = ball(0.004, 0.4, ContourNoise { shared_lines, bias, ..noise() });
-        (contour.bias_evidence(&fit, &own.covariance).unwrap(), contour.noise_evidence(&fit.surface).unwrap())
+        let (fit, contour) =
+            ball(0.004, 0.4, ContourNoise { shared_lines, surface_lines: shared_lines, bias, ..noise() });
+        let bias = contour.bias_evidence(&fit, &even(&fit, &contour), &own.covariance).unwrap();
+        (bias, contour.noise_evidence(&fit.surface).unwrap())
     };
     let ((bias, noise), (bias_of_one, noise_of_one)) = (told(4.0, 1.0), told(1.0, 0.5));
     assert!((bias.matrix * 4.0 - bias_of_one.matrix).amax() < 1e-6 * bias_of_one.matrix.amax());

@@ -115,7 +115,7 @@ fn fit<S: Surface<N>, const N: usize>(
 pub struct GradientNoise<const N: usize> {
     derivatives: [Coefficients; N],
     coefficients: Coefficients,
-    matrix: SMatrix<f64, N, N>,
+    pub(crate) matrix: SMatrix<f64, N, N>,
 }
 
 impl<const N: usize> GradientNoise<N> {

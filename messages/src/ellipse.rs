@@ -69,6 +69,9 @@ pub struct Ellipse {
     pub shared_px: f64,
     /// The same of neighbouring lines of the image; 0 stands for 1.
     pub shared_lines: f64,
+    /// Over how many lines the depths of the points are averaged, by the variance that this leaves; 0 stands for 1, none. So many
+    /// times as many lines share their noise as without; `contour` is that of the one line.
+    pub averaged_lines: f64,
     /// Depths measured `beyond_px` pixels before the first and behind the last pixel, in metres; 0: none.
     pub beyond: [f64; 2],
     /// Where along the line the surface ends on either side before something farther behind it, in pixels: half a
@@ -115,6 +118,7 @@ impl Ellipse {
         self.sigma >= 0.0
             && self.shared_px >= 0.0
             && self.shared_lines >= 0.0
+            && self.averaged_lines >= 0.0
             && self.rms >= 0.0
             && self.ends.as_flattened().iter().all(|depth| *depth >= 0.0)
             && self.moments[0] > 0.0
@@ -128,7 +132,7 @@ impl Ellipse {
             && finite(&self.beyond)
             && finite(&self.contour)
             && finite(self.ends.as_flattened())
-            && finite(&[self.sigma, self.shared_px, self.shared_lines])
+            && finite(&[self.sigma, self.shared_px, self.shared_lines, self.averaged_lines])
             && finite(&self.origin)
             && finite(&self.moments)
     }
@@ -136,7 +140,7 @@ impl Ellipse {
 
 impl Item for Ellipse {
     const NAME: &'static str = "ellipses";
-    const TYPE_NAME: &'static str = "conicflow.Ellipse.v7";
+    const TYPE_NAME: &'static str = "conicflow.Ellipse.v8";
     /// Arcs in an image of 640x480 pixels, which few exceed.
     const USUAL_LENGTH: usize = 1024;
 

@@ -66,6 +66,8 @@ pub(crate) struct Arc {
     pub shared_px: f64,
     /// The same of neighbouring lines.
     pub shared_lines: f64,
+    /// How many share that of their contour, which is not averaged over lines.
+    pub contour_lines: f64,
     /// How much better the circle is than a line, in points times variances.
     pub bulge: f64,
 }
@@ -97,6 +99,7 @@ impl Arc {
         let variance = (variance * plane.stretch().powi(2)).max(LEAST_VARIANCE);
         let steps = steps(&camera, &plane);
         let (pitch, spacing) = (camera.pixel_pitch(scan), camera.line_pitch(scan) * f64::from(step));
+        let shared_lines = (ellipse.shared_lines / f64::from(step)).max(1.0);
         Some(Self {
             scan,
             line: ellipse.line / step,
@@ -119,7 +122,8 @@ impl Arc {
             pitch: mean.z * pitch,
             spacing: mean.z * spacing,
             shared_px: ellipse.shared_px.max(1.0),
-            shared_lines: (ellipse.shared_lines / f64::from(step)).max(1.0),
+            shared_lines,
+            contour_lines: (shared_lines / ellipse.averaged_lines.max(1.0)).max(1.0),
             bulge: bulge(&moments, variance),
         })
     }
@@ -266,6 +270,11 @@ impl Arcs {
     /// How many neighbouring lines share their noise, on average over some arcs, of which there is at least one.
     pub fn shared_lines(&self, indices: &[usize]) -> f64 {
         self.of(indices).map(|arc| arc.shared_lines).sum::<f64>() / indices.len() as f64
+    }
+
+    /// How many share that of their contour, on average over some arcs.
+    pub fn contour_lines(&self, indices: &[usize]) -> f64 {
+        self.of(indices).map(|arc| arc.contour_lines).sum::<f64>() / indices.len() as f64
     }
 
     /// Whether an arc has any of these pixels.

@@ -215,8 +215,9 @@ mod tests {
             let mut contours = Contours::default();
             let (model, contour) = contours.fit(&region).unwrap();
             let (near, far_off) = (model.cost(), contour.far_off());
+            let times = region.shared_lines() / region.contour_lines();
             assert!((least..=most).contains(&far_off), "{kind:?}: {far_off}");
-            let expected = near + 3.5_f64.powi(2) * far_off as f64;
+            let expected = near + 3.5_f64.powi(2) * far_off as f64 * times;
             let cost = cost(region, &mut Contours::default()).unwrap();
             assert!((cost - expected).abs() < 1e-3 * expected.abs(), "{kind:?}: {cost} {expected}");
         }

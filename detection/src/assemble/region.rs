@@ -34,6 +34,11 @@ impl<'a> Region<'a> {
         self.arcs.shared_lines(self.members)
     }
 
+    /// How many share that of their contour, at least 1.
+    pub fn contour_lines(&self) -> f64 {
+        self.arcs.contour_lines(self.members)
+    }
+
     /// The arcs of the first and the last line.
     pub fn ends(&self) -> [&'a Arc; 2] {
         [self.members[0], self.members[self.members.len() - 1]].map(|index| &self.arcs.arcs[index])

@@ -147,8 +147,16 @@ fn conical_sigma(surface: &Conical, covariance: &SMatrix<f64, 5, 5>, measured: &
     }
 }
 
-/// Covariance of a fit's parameters, from points along its arcs.
+/// Covariance of a fit's parameters.
 fn covariance<S: Surface<N>, const N: usize>(region: &Region, fit: &SurfaceFit<S, N>) -> SMatrix<f64, N, N> {
+    gradient_noise(region, fit).covariance(fit, region.shared_lines())
+}
+
+/// How a fit's gradient scatters, from points along its arcs.
+pub(super) fn gradient_noise<S: Surface<N>, const N: usize>(
+    region: &Region,
+    fit: &SurfaceFit<S, N>,
+) -> GradientNoise<N> {
     let q = region.model.coefficients();
     let stride = region.members.len().div_ceil(ARCS);
     // Each arc of these stands for so many.
@@ -167,7 +175,7 @@ fn covariance<S: Surface<N>, const N: usize>(region: &Region, fit: &SurfaceFit<S
             }
         }
     }
-    noise.covariance(fit, region.shared_lines())
+    noise
 }
 
 #[cfg(test)]

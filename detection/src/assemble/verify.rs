@@ -63,8 +63,9 @@ impl Outline {
         let free: usize = region.arcs().map(|arc| (0..2).filter(|&end| is_free(arc, end)).count()).sum();
         let free = free as f64 / ends;
         let share = |part: usize, all: usize| part as f64 / all.max(1) as f64;
-        let expected = EXPECTED_POINTS * region.shared_lines();
-        let square = (region.model.contour_sum() + expected) / (contour.used() as f64 + expected);
+        let lines = region.contour_lines();
+        let (sum, expected) = (region.model.contour_sum() * lines / region.shared_lines(), EXPECTED_POINTS * lines);
+        let square = (sum + expected) / (contour.used() as f64 + expected);
         Self { square, far_off: share(contour.far_off(), contour.points()), free }
     }
 }
@@ -489,14 +490,16 @@ mod tests {
     fn few_points_of_an_outline_say_little_of_how_well_it_fits() {
         let mut arcs = arcs_of(&[sphere(Vector3::z() * 1.5, 0.2), wall(4.0)]);
         let rows = rows_of(&arcs, |arc| arc.mean.z < 2.0);
-        for (lines, shared_lines) in [(20, 1.0), (60, 1.0), (60, 5.0)] {
-            arcs.arcs.iter_mut().for_each(|arc| arc.shared_lines = shared_lines);
+        for (lines, shared_lines, contour_lines) in [(20, 1.0, 1.0), (60, 1.0, 1.0), (60, 5.0, 5.0), (60, 5.0, 1.0)] {
+            let share = |arc: &mut Arc| (arc.shared_lines, arc.contour_lines) = (shared_lines, contour_lines);
+            arcs.arcs.iter_mut().for_each(share);
             let (mut region, mut contours) = (fitted(&arcs, &rows[..lines], ObjectKind::Sphere), Contours::default());
             let (model, contour) = contours.fit(&region).unwrap();
             region.model = model;
             let (sum, used) = (model.contour_sum(), contour.used() as f64);
             let told = Outline::of(&region, contour).square;
-            let expected = (sum + 4.0 * shared_lines) / (used + 4.0 * shared_lines);
+            let (lines_as_one, sum) = (4.0 * contour_lines, sum * contour_lines / shared_lines);
+            let expected = (sum + lines_as_one) / (used + lines_as_one);
             assert!(used > lines as f64 && (told - expected).abs() < 1e-12 && told != 1.0, "{told} {expected}");
         }
         let region = fitted(&arcs, &rows, ObjectKind::Sphere);

@@ -232,6 +232,7 @@ fn message(rays: &Rays, image: &[u16], points: Range<usize>, fit: &ArcFit, momen
         sigma: (rays.averaged_variance((first + last) / 2) * unaveraged).sqrt(),
         shared_px: rays.view.correlation_px[0],
         shared_lines: rays.view.correlation_px[1] / unaveraged,
+        averaged_lines: rays.view.averaged_lines / unaveraged,
         beyond_px: beyond,
         unbiased: 1,
         center: rays.plane().to_camera(fit.circle.center).into(),

@@ -404,6 +404,8 @@ fn lines_are_averaged_where_noise_hides_their_jumps() {
             assert!((0.85..1.25).contains(&ratio), "{ratio} at {sigma_m}, {width}");
             let shared = arc.shared_lines / f64::from(averaged);
             assert!((0.9..1.6).contains(&shared) && arc.line_step == step, "{shared} at {sigma_m}, {width}");
+            let told = arc.averaged_lines / f64::from(averaged);
+            assert!((0.75..1.05).contains(&told), "{told} at {sigma_m}, {width}");
         }
     }
 }

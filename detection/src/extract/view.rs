@@ -51,6 +51,8 @@ pub(crate) struct View {
     level: f64,
     /// How many neighbouring pixels of a line, and how many lines, share their noise.
     pub correlation_px: [f64; 2],
+    /// Noise variance of one line, in that of a mean of neighbouring ones.
+    pub averaged_lines: f64,
     /// How neighbouring lines are averaged.
     averaging: Averaging,
     /// Variance of rounding to the unit of the image: no depth has less.
@@ -103,6 +105,7 @@ impl View {
             noise: NoiseModel::IDEAL,
             level: 1.0,
             correlation_px: [1.0; 2],
+            averaged_lines: 1.0,
             averaging: Averaging::default(),
             least: 0.0,
             jumps: Vec::new(),
@@ -120,7 +123,7 @@ impl View {
         // What is left of the noise of one line, and neighbouring means share.
         let left = averaging::variance(averaged, across);
         (self.noise, self.level, self.scale) = (noise.model, left * noise.level, header.depth_scale);
-        self.correlation_px = [along, across / left];
+        (self.correlation_px, self.averaged_lines) = ([along, across / left], 1.0 / left);
         self.averaging.set(averaged, across);
         self.least = self.scale * self.scale / 12.0;
         let pitch = self.pitch();
