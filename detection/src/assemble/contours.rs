@@ -8,7 +8,6 @@
 
 use super::model::{Model, of_fit, pool_within, upright};
 use super::region::Region;
-use super::report::gradient_noise;
 use conicflow_geometry::{
     Contour, ContourBias, ContourNoise, GradientNoise, Information, Scan, Surface, SurfaceFit, fit_with_contour,
 };
@@ -231,7 +230,7 @@ impl Contours {
     pub fn learn(&mut self, region: &Region, object: &Object) {
         let own = covariance(own_px(window_px(region)), SYSTEMATIC);
         let contour = self.select_points(region);
-        let shown = of_fit!(&region.model, fit => shown(contour, fit, &gradient_noise(region, fit), &own));
+        let shown = of_fit!(&region.model, fit => shown(contour, fit, &region.gradient_noise(fit), &own));
         if let Some((bias, noise)) = shown {
             let sides = [0, 1].map(|side| contour.used_on(side));
             if sides.iter().all(|(points, _)| *points == 0) {

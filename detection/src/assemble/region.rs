@@ -2,8 +2,13 @@
 
 use super::arcs::{Arc, Arcs};
 use super::model::Model;
-use conicflow_geometry::Vector3;
+use conicflow_geometry::{GradientNoise, Surface, SurfaceFit, Vector3, section_of};
 use std::iter;
+
+/// Number of points along an arc at which its noise is evaluated.
+const SAMPLES: usize = 5; // [algorithmic]
+/// Approximate number of arcs of an object at which its noise is evaluated.
+const ARCS: usize = 16; // [algorithmic]
 
 /// A model and the arcs that it explains, in the order of the lines.
 #[derive(Clone, Copy, Debug)]
@@ -37,6 +42,29 @@ impl<'a> Region<'a> {
     /// How many share that of their contour, at least 1.
     pub fn contour_lines(&self) -> f64 {
         self.arcs.contour_lines(self.members)
+    }
+
+    /// How the gradient of a fit to it scatters by the noise of its points, from some of them.
+    pub fn gradient_noise<S: Surface<N>, const N: usize>(&self, fit: &SurfaceFit<S, N>) -> GradientNoise<N> {
+        let q = self.model.coefficients();
+        let stride = self.members.len().div_ceil(ARCS);
+        // Each arc of these stands for so many.
+        let times = self.members.len() as f64 / self.members.len().div_ceil(stride) as f64;
+        let mut noise = GradientNoise::new(&fit.surface);
+        for arc in self.arcs().step_by(stride) {
+            let weight = self.model.weight(arc);
+            let along_z = arc.variance / arc.plane.stretch().powi(2);
+            let section = section_of(&q, &arc.plane);
+            let share = times * self.shared_lines() * arc.points / SAMPLES as f64;
+            for sample in 0..SAMPLES {
+                let part = (sample as f64 + 0.5) / SAMPLES as f64;
+                let x = arc.rays[0] + part * (arc.rays[1] - arc.rays[0]);
+                if let Some(z) = arc.hit(&section, x) {
+                    noise.add(&arc.point(x, z), share * weight * weight * along_z);
+                }
+            }
+        }
+        noise
     }
 
     /// The arcs of the first and the last line.

@@ -5,15 +5,10 @@ use super::contours::{FLATTENED_PX, SYSTEMATIC, SYSTEMATIC_PX};
 use super::model::Model;
 use super::region::Region;
 use super::verify::{self, Measured};
-use conicflow_geometry::{Conical, GradientNoise, ScanPlane, Surface, SurfaceFit, Vector3, section_of};
+use conicflow_geometry::{Conical, ScanPlane, Surface, SurfaceFit, Vector3};
 use conicflow_messages::{Object, ObjectKind, ObjectSigma};
 use nalgebra::{Matrix3, SMatrix};
 use std::f64::consts::SQRT_2;
-
-/// Number of points along an arc at which its noise is evaluated.
-const SAMPLES: usize = 5; // [algorithmic]
-/// Approximate number of arcs of an object at which its noise is evaluated.
-const ARCS: usize = 16; // [algorithmic]
 
 /// Lower bound of the cosine between an axis and the normal of the scan planes: it keeps the spacing along the axis finite.
 const MOST_OBLIQUE: f64 = 0.2; // [algorithmic]
@@ -149,33 +144,7 @@ fn conical_sigma(surface: &Conical, covariance: &SMatrix<f64, 5, 5>, measured: &
 
 /// Covariance of a fit's parameters.
 fn covariance<S: Surface<N>, const N: usize>(region: &Region, fit: &SurfaceFit<S, N>) -> SMatrix<f64, N, N> {
-    gradient_noise(region, fit).covariance(fit, region.shared_lines())
-}
-
-/// How a fit's gradient scatters, from points along its arcs.
-pub(super) fn gradient_noise<S: Surface<N>, const N: usize>(
-    region: &Region,
-    fit: &SurfaceFit<S, N>,
-) -> GradientNoise<N> {
-    let q = region.model.coefficients();
-    let stride = region.members.len().div_ceil(ARCS);
-    // Each arc of these stands for so many.
-    let times = region.members.len() as f64 / region.members.len().div_ceil(stride) as f64;
-    let mut noise = GradientNoise::new(&fit.surface);
-    for arc in region.arcs().step_by(stride) {
-        let weight = region.model.weight(arc);
-        let along_z = arc.variance / arc.plane.stretch().powi(2);
-        let section = section_of(&q, &arc.plane);
-        let share = times * region.shared_lines() * arc.points / SAMPLES as f64;
-        for sample in 0..SAMPLES {
-            let part = (sample as f64 + 0.5) / SAMPLES as f64;
-            let x = arc.rays[0] + part * (arc.rays[1] - arc.rays[0]);
-            if let Some(z) = arc.hit(&section, x) {
-                noise.add(&arc.point(x, z), share * weight * weight * along_z);
-            }
-        }
-    }
-    noise
+    region.gradient_noise(fit).covariance(fit, region.shared_lines())
 }
 
 #[cfg(test)]
