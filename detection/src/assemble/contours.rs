@@ -37,7 +37,7 @@ const WINDOW_OFFSET_PX: f64 = 0.288_675; // [derived]
 /// No number of points averages it out. With these three errors over sigmas in `experiments/detection.toml` and
 /// `experiments/simulated_sensors.toml` are near 1.
 pub(super) const SYSTEMATIC: f64 = 0.0005; // [measured]
-pub(super) const SYSTEMATIC_PX: f64 = 0.02; // [measured]
+pub(super) const SYSTEMATIC_PX: f64 = 0.04; // [measured]
 /// The same for each further pixel that shares the noise of one, in pixels: what compares windows flattens what is round at its
 /// silhouettes.
 pub(super) const FLATTENED_PX: f64 = 0.06; // [measured]
