@@ -3,24 +3,24 @@
 use conicflow_geometry::{Pinhole, Scan};
 use conicflow_messages::{self as messages, Camera, ConfigFault, Ellipse};
 use nalgebra::{IsometryMatrix3, Matrix3, Rotation3, Translation3};
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Intrinsics of a pinhole camera; pixel centres lie at whole numbers.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Intrinsics {
     /// Focal length along x, in pixels.
-    #[schemars(range(min = 1.0, max = 1e6))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 1.0, max = 1e6)))]
     pub fx: f64,
     /// Focal length along y, in pixels.
-    #[schemars(range(min = 1.0, max = 1e6))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 1.0, max = 1e6)))]
     pub fy: f64,
     /// Principal point, x, in pixels.
-    #[schemars(range(min = -1e6, max = 1e6))]
+    #[cfg_attr(feature = "schema", schemars(range(min = -1e6, max = 1e6)))]
     pub cx: f64,
     /// Principal point, y, in pixels.
-    #[schemars(range(min = -1e6, max = 1e6))]
+    #[cfg_attr(feature = "schema", schemars(range(min = -1e6, max = 1e6)))]
     pub cy: f64,
 }
 

@@ -29,7 +29,7 @@ mod rejections;
 pub mod track;
 
 pub use assemble::{Assembler, AssemblerParameters};
-pub use conicflow_messages::{Camera, Ellipse, NoiseModel, Object, ObjectKind, ObjectSigma, Track, TrackState};
+pub use conicflow_messages::{Camera, Ellipse, Header, NoiseModel, Object, ObjectKind, ObjectSigma, Track, TrackState};
 pub use detector::{DetectError, Detector};
 pub use extract::{Extractor, ExtractorParameters, ScanLines};
 pub use track::{NoPose, Tracker, TrackerParameters};

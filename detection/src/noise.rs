@@ -3,14 +3,14 @@
 //! word, `noise_estimator` finds the coefficients from a recording.
 
 use conicflow_messages::NoiseModel;
-use schemars::JsonSchema;
 use serde::de::{IntoDeserializer, value};
 use serde::{Deserialize, Serialize};
 use std::str::FromStr;
 
 /// The depth noise of a sensor: `"kinect_v1"`, `"realsense_d435"`, `"time_of_flight"`, `"ideal"` or a table of
 /// coefficients.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(
     untagged,
     expecting = "expected \"kinect_v1\", \"realsense_d435\", \"time_of_flight\", \"ideal\" or a table with some of the \
@@ -24,7 +24,8 @@ pub enum NoiseConfig {
 }
 
 /// A sensor whose noise is known.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum NoiseName {
     /// Microsoft Kinect for Xbox 360, Asus Xtion, PrimeSense Carmine.
@@ -73,20 +74,21 @@ impl FromStr for NoiseName {
 
 /// Coefficients of `sigma(z)^2 = (floor_m + growth_per_m (z - knee_m)^2)^2 + (step_per_m z^2)^2 / 12`; one that is left
 /// out is that of a Kinect v1.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct NoiseCoefficients {
     /// Noise at the knee, in metres.
-    #[schemars(range(min = 0.0, max = 1000.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1000.0)))]
     pub floor_m: f64,
     /// Growth with the squared distance from the knee, in 1/metre.
-    #[schemars(range(min = 0.0, max = 1000.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1000.0)))]
     pub growth_per_m: f64,
     /// Depth of least noise, in metres.
-    #[schemars(range(min = 0.0, max = 1000.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1000.0)))]
     pub knee_m: f64,
     /// Depth between two neighbouring disparities, divided by the squared depth, in 1/metre.
-    #[schemars(range(min = 0.0, max = 1000.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1000.0)))]
     pub step_per_m: f64,
 }
 

@@ -1,40 +1,41 @@
 //! Parameters of the assembly of objects.
 
 use conicflow_messages::{ConfigFault, ObjectKind};
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::ops::RangeInclusive;
 use std::time::{Duration, Instant};
 
 /// Smallest and largest radius of a shape.
-#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct RadiusLimits {
     /// Smallest radius, in metres.
-    #[schemars(range(min = 0.001, max = 100.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.001, max = 100.0)))]
     pub min_m: f64,
     /// Largest radius, in metres.
-    #[schemars(range(min = 0.001, max = 100.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.001, max = 100.0)))]
     pub max_m: f64,
 }
 
 /// Smallest and largest radius and visible length of a cylinder or cone.
-#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct AxialLimits {
     /// Smallest radius, in metres; of a cone in the middle of its visible part.
-    #[schemars(range(min = 0.001, max = 100.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.001, max = 100.0)))]
     pub min_m: f64,
     /// Largest radius, in metres.
-    #[schemars(range(min = 0.001, max = 100.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.001, max = 100.0)))]
     pub max_m: f64,
     /// Smallest visible length, in metres.
     #[serde(default)]
-    #[schemars(range(min = 0.0, max = 100.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 100.0)))]
     pub min_length_m: f64,
     /// Largest visible length, in metres.
     #[serde(default = "unlimited_m")]
-    #[schemars(range(min = 0.0, max = 100.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 100.0)))]
     pub max_length_m: f64,
 }
 
@@ -44,43 +45,44 @@ fn unlimited_m() -> f64 {
 }
 
 /// What an object has to be for it to be reported.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct PooledParameters {
     /// Fewest scan lines of an object; of those that the extractor looks at, as wherever lines are counted.
-    #[schemars(range(min = 7, max = 1000))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 7, max = 1000)))]
     pub min_lines: u32,
     /// Smallest visual angle of an object across its scan lines, in degrees: a finer image shows more of what is too small
     /// to tell.
-    #[schemars(range(min = 0.0, max = 45.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 45.0)))]
     pub min_view_deg: f64,
     /// Scan lines without a part of the object that are bridged in any case; while the first few are put together, one less.
-    #[schemars(range(min = 1, max = 64))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 64)))]
     pub max_gap_lines: u32,
     /// Smallest part of the scan lines from first to last that support the object.
-    #[schemars(range(min = 0.0, max = 1.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1.0)))]
     pub min_coverage: f64,
     /// Smallest visible part of the circumference, in degrees.
-    #[schemars(range(min = 0.0, max = 180.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 180.0)))]
     pub min_arc_deg: f64,
     /// Shortest visible part of a cylinder or cone, in radii.
-    #[schemars(range(min = 0.0, max = 10.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 10.0)))]
     pub min_length_radii: f64,
     /// Least height of the visible part of a sphere, in radii.
-    #[schemars(range(min = 0.0, max = 2.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 2.0)))]
     pub min_cap_radii: f64,
     /// Half-angle from which on something may be a cone and not a cylinder, in degrees.
-    #[schemars(range(min = 0.0, max = 45.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 45.0)))]
     pub min_half_angle_deg: f64,
     /// Time for the ellipses of one image, in milliseconds of the clock, after which nothing further is looked for; 0: no
     /// limit. Default: 30 where the stage takes the newest message (`latest`), so that it keeps up with 30 images a second; no
     /// limit where it takes each (`lossless`), nor in the library. What is most curved comes first, but later where something grew
     /// in vain from the same surface. With a limit the same image may give other objects on a busy machine.
-    #[schemars(range(min = 0.0, max = 10_000.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 10_000.0)))]
     pub budget_ms: Option<f64>,
     /// For how many images counts what an object shows of where this sensor puts contours, from when it was seen in its place last
     /// on; 0: each image is looked at as if it were the first.
-    #[schemars(range(min = 0.0, max = 1e6))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1e6)))]
     pub contour_memory: f64,
 }
 
@@ -102,11 +104,12 @@ impl Default for PooledParameters {
 }
 
 /// Parameters of the assembly.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default)]
 pub struct AssemblerParameters {
     /// Largest half-angle of a cone, in degrees.
-    #[schemars(range(min = 0.0, max = 45.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 45.0)))]
     pub max_half_angle_deg: f64,
     /// Limits on the radius of a sphere.
     pub sphere: RadiusLimits,
@@ -115,7 +118,7 @@ pub struct AssemblerParameters {
     /// Limits on the radius, in the middle of its visible part, and the visible length of a cone.
     pub cone: AxialLimits,
     /// Least `confidence` of an object, the probability that it is one: what is less probable is not reported.
-    #[schemars(range(min = 0.0, max = 1.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1.0)))]
     pub min_confidence: f64,
     /// What an object has to be for it to be reported.
     pub pooled: PooledParameters,

@@ -2,11 +2,11 @@
 
 use conicflow_geometry::Scan;
 use conicflow_messages::ConfigFault;
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Which scan lines are looked at.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum ScanLines {
     /// Rows: finds upright objects.
@@ -30,28 +30,29 @@ impl ScanLines {
 }
 
 /// Parameters of the extraction.
-#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default)]
 pub struct ExtractorParameters {
     /// Scan lines to look at: `rows`, `columns` (for objects that lie) or `both`.
     pub scan: ScanLines,
     /// Looks at every n-th scan line; of images of 960 rows and more that are so noisy that five lines are averaged, at half of
     /// these.
-    #[schemars(range(min = 1, max = 64))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 64)))]
     pub line_step: u32,
     /// Number of missing pixels that are bridged inside a run.
-    #[schemars(range(min = 0, max = 64))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = 64)))]
     pub max_hole_px: u32,
     /// Number of points taken off both ends of a run, where pixels mix two depths. The last of them is put back where its ray
     /// meets the circle through the others.
-    #[schemars(range(min = 0, max = 16))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = 16)))]
     pub trim_px: u32,
     /// Smallest radius of a circle through an arc, in metres.
-    #[schemars(range(min = 0.001, max = 10.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.001, max = 10.0)))]
     pub min_radius_m: f64,
     /// Largest radius of what is no wall, in metres: lines wider than twice this are none of an object, whose own limits the
     /// assembler has.
-    #[schemars(range(min = 0.001, max = 10.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.001, max = 10.0)))]
     pub max_radius_m: f64,
 }
 

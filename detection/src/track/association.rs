@@ -1,25 +1,10 @@
-//! Which detection belongs to which track: the assignment that is the cheapest as a whole (Kuhn 1955, Munkres 1957).
+//! Association of detections with tracks: the assignment of least total cost, by shortest augmenting paths (Jonker, Volgenant
+//! 1987) over the pairs within the gate only.
 
-use pathfinding::kuhn_munkres::kuhn_munkres;
-use pathfinding::matrix::Matrix;
-use pathfinding::undirected::connected_components::components;
-use std::collections::{BTreeMap, BTreeSet};
-
-/// What it costs a track to stay alone. As minus twice the logarithm of a density, in 1/m^4 over place and radius, less the
+/// The cost of a track that stays alone. As minus twice the logarithm of a density, in 1/m^4 over place and radius, less the
 /// 4 ln 2 pi that pairs leave out, too: one new object in 6000 cubic metres for each metre of radius, so that all but the
 /// vaguest pairs are cheaper. An axis adds nothing: it may lie anywhere in 2 pi, which is what pairs leave out of it.
 const COST_ALONE: f64 = 10.0; // [tuned]
-/// The assignment is found in whole numbers: a cost of one is so many.
-const UNITS_PER_COST: f64 = 1e6; // [algorithmic]
-/// The gain of a pair that must not be: no sum of others makes up for it.
-const FORBIDDEN: i64 = -1_000_000_000_000_000; // [algorithmic]
-
-/// What is paired, by its index.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-enum Node {
-    Track(usize),
-    Detection(usize),
-}
 
 /// Pairs tracks with detections, each at most once.
 ///
@@ -39,48 +24,19 @@ impl Association {
         self.track_of.resize(detections, None);
     }
 
-    /// Offers each pair of a free track and a free detection that has a cost, and joins those whose costs, with those of
-    /// the tracks that stay alone, have the least sum. May be called again, with another cost, for what was left.
+    /// Asks for the cost of each pair of a free track and a free detection, and joins those whose costs, with those of the
+    /// tracks that stay alone, have the least sum. A second call, with another cost, pairs what the first has left.
     pub fn assign(&mut self, cost: impl Fn(usize, usize) -> Option<f64>) {
-        let (tracks, detections): (Vec<_>, Vec<_>) =
-            (free(&self.detection_of).collect(), free(&self.track_of).collect());
-        if tracks.is_empty() || detections.is_empty() {
-            return;
-        }
-        let mut gains_of = BTreeMap::new();
-        let mut beside: Vec<_> = tracks.iter().map(|&track| vec![Node::Track(track)]).collect();
-        for (beside, &track) in beside.iter_mut().zip(&tracks) {
-            for &detection in &detections {
-                if let Some(cost) = cost(track, detection) {
-                    gains_of.insert((track, detection), gain(cost));
-                    beside.push(Node::Detection(detection));
-                }
-            }
-        }
-        // Those that no pair joins do not ask for the same: each group is small, however many there are.
-        for group in components(&beside) {
-            self.assign_group(&group.into_iter().collect(), &gains_of);
-        }
-    }
-
-    fn assign_group(&mut self, group: &BTreeSet<Node>, gains_of: &BTreeMap<(usize, usize), i64>) {
-        let (mut tracks, mut detections) = (Vec::new(), Vec::new());
-        for node in group {
-            match *node {
-                Node::Track(track) => tracks.push(track),
-                Node::Detection(detection) => detections.push(detection),
-            }
-        }
-        // one column for each detection, and one for each track to stay alone in
-        let mut gains = Matrix::new(tracks.len(), detections.len() + tracks.len(), 0);
-        for (row, &track) in tracks.iter().enumerate() {
-            for (column, &detection) in detections.iter().enumerate() {
-                gains[(row, column)] = gains_of.get(&(track, detection)).copied().unwrap_or(FORBIDDEN);
-            }
-        }
-        let (_, columns) = kuhn_munkres(&gains);
-        for (row, column) in columns.into_iter().enumerate().filter(|(_, column)| *column < detections.len()) {
-            if gains[(row, column)] > FORBIDDEN {
+        let tracks: Vec<_> = free(&self.detection_of).collect();
+        let detections: Vec<_> = free(&self.track_of).collect();
+        // A pair that costs more than a track alone is in no assignment of least cost; neither is one without a number.
+        let pairs = |&track: &usize| {
+            let pair = |column| Some((column, cost(track, detections[column])? - COST_ALONE));
+            (0..detections.len()).filter_map(pair).filter(|(_, saved)| *saved < 0.0).collect()
+        };
+        let edges: Vec<Vec<_>> = tracks.iter().map(pairs).collect();
+        for (row, column) in cheapest(&edges, detections.len()).into_iter().enumerate() {
+            if let Some(column) = column {
                 self.detection_of[tracks[row]] = Some(detections[column]);
                 self.track_of[detections[column]] = Some(tracks[row]);
             }
@@ -98,13 +54,75 @@ impl Association {
     }
 }
 
-/// What a pair saves; `as` keeps what is not finite within the bounds of the numbers.
-fn gain(cost: f64) -> i64 {
-    ((COST_ALONE - cost).clamp(-1e6, 1e6) * UNITS_PER_COST) as i64 // [algorithmic]
-}
-
 fn free(partners: &[Option<usize>]) -> impl Iterator<Item = usize> + '_ {
     partners.iter().enumerate().filter_map(|(index, partner)| partner.is_none().then_some(index))
+}
+
+/// The column of each row in the assignment of least cost. `edges` lists the columns of a row and their costs, which are
+/// negative; a row without a column costs nothing.
+fn cheapest(edges: &[Vec<(usize, f64)>], columns: usize) -> Vec<Option<usize>> {
+    let mut column_of = vec![None; edges.len()];
+    let mut row_of = vec![None; columns];
+    // The dual variables: `cost - row - column` is never negative, and zero where a row has its column (or none).
+    let mut row_prices: Vec<_> =
+        edges.iter().map(|edges| edges.iter().map(|edge| edge.1).fold(0.0, f64::min)).collect();
+    let mut column_prices = vec![0.0; columns];
+    // The search for a path: the distance of each column, the row that it is reached from, and the columns in their order.
+    let mut distances = vec![f64::INFINITY; columns];
+    let mut reached_from = vec![0; columns];
+    let (mut open, mut settled) = (Vec::new(), Vec::<(usize, f64)>::new());
+
+    for start in 0..edges.len() {
+        let (mut row, mut distance) = (start, 0.0);
+        // The nearest row that may give up its column for none.
+        let mut nearest_end = (f64::INFINITY, start);
+        let end_column = loop {
+            if distance - row_prices[row] < nearest_end.0 {
+                nearest_end = (distance - row_prices[row], row);
+            }
+            for &(column, cost) in &edges[row] {
+                let through = distance + cost - row_prices[row] - column_prices[column];
+                if distances[column] == f64::INFINITY {
+                    open.push(column);
+                }
+                if through < distances[column] {
+                    (distances[column], reached_from[column]) = (through, row);
+                }
+            }
+            let by_distance = |&a: &usize, &b: &usize| distances[open[a]].total_cmp(&distances[open[b]]);
+            let Some(next) = (0..open.len()).min_by(by_distance).filter(|&next| distances[open[next]] < nearest_end.0)
+            else {
+                distance = nearest_end.0;
+                break None;
+            };
+            let column = open.swap_remove(next);
+            distance = std::mem::replace(&mut distances[column], f64::NEG_INFINITY); // no path there is shorter
+            settled.push((column, distance));
+            match row_of[column] {
+                Some(taken_by) => row = taken_by,
+                None => break Some(column),
+            }
+        };
+
+        row_prices[start] += distance;
+        for &(column, settled_at) in &settled {
+            column_prices[column] -= distance - settled_at;
+            if let Some(row) = row_of[column] {
+                row_prices[row] += distance - settled_at;
+            }
+        }
+        // Along the path each row takes the column that it was left for, from the end to the start.
+        let mut freed = end_column.or_else(|| column_of[nearest_end.1].take());
+        while let Some(column) = freed {
+            let row = reached_from[column];
+            row_of[column] = Some(row);
+            freed = column_of[row].replace(column);
+        }
+        for column in open.drain(..).chain(settled.drain(..).map(|(column, _)| column)) {
+            distances[column] = f64::INFINITY;
+        }
+    }
+    column_of
 }
 
 #[cfg(test)]
@@ -174,6 +192,45 @@ mod tests {
         });
         // Of four in a row the first three would rather have the next one's, and the fourth would be left with nothing.
         assert!(association.detections().iter().enumerate().all(|(track, paired)| *paired == Some(track)));
+    }
+
+    /// The least cost of the rows from `row` on, with the columns that are left, by trying all.
+    fn least_cost(edges: &[Vec<(usize, f64)>], taken: &mut Vec<usize>) -> f64 {
+        let Some((first, others)) = edges.split_first() else { return 0.0 };
+        let mut least = least_cost(others, taken);
+        for &(column, cost) in first {
+            if !taken.contains(&column) {
+                taken.push(column);
+                least = least.min(cost + least_cost(others, taken));
+                taken.pop();
+            }
+        }
+        least
+    }
+
+    #[test]
+    fn no_assignment_costs_less() {
+        let mut random = fastrand::Rng::with_seed(1);
+        for _ in 0..3000 {
+            let (rows, columns) = (random.usize(1..6), random.usize(1..6));
+            // Whole numbers give ties.
+            let whole = random.bool();
+            let mut cost = || if whole { -f64::from(random.u32(1..5)) } else { -4.0 * random.f64() };
+            let mut edges = vec![vec![]; rows];
+            for edges in &mut edges {
+                edges.extend((0..columns).map(|column| (column, cost())));
+                edges.retain(|_| cost() < -1.5);
+            }
+            let found = cheapest(&edges, columns);
+            let mut taken: Vec<_> = found.iter().flatten().collect();
+            taken.sort();
+            assert!(taken.windows(2).all(|two| two[0] != two[1]), "a column twice: {found:?}");
+            let cost_of = |(edges, column): (&Vec<(usize, f64)>, &Option<usize>)| {
+                column.map(|column| edges.iter().find(|edge| edge.0 == column).expect("a pair of the list").1)
+            };
+            let cost: f64 = edges.iter().zip(&found).filter_map(cost_of).sum();
+            assert!((cost - least_cost(&edges, &mut vec![])).abs() < 1e-9, "{edges:?}: {found:?}");
+        }
     }
 
     #[test]

@@ -3,18 +3,18 @@
 
 use super::filter::Motion;
 use crate::gravity;
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Standard deviation of the speed after a bounce, as a share of it: no floor is level and no ball the same all around.
 const BOUNCE_SPREAD: f64 = 0.1; // [tuned]
 
 /// How balls fall.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct Ballistic {
     /// Acceleration of free fall, in m/s^2.
-    #[schemars(range(min = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
     pub gravity_mps2: f64,
     /// Where up is, as a vector in the world where the frames carry a pose, else in the camera's frame; none: the world's z,
     /// [0, 0, 1], with a pose, and -y, [0, -1, 0], without.
@@ -22,7 +22,7 @@ pub struct Ballistic {
     /// Height of the floor along `up`, in metres; none: nothing bounces unseen.
     pub floor_m: Option<f64>,
     /// Share of the speed that a bounce leaves.
-    #[schemars(range(min = 0.0, max = 1.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1.0)))]
     pub restitution: f64,
 }
 
