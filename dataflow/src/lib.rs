@@ -31,6 +31,7 @@ mod side_inputs;
 mod stage;
 mod standstill;
 mod status;
+mod stop;
 mod table;
 
 /// Runs a single stage or source as it runs in a pipeline, with nothing around it.
@@ -81,6 +82,7 @@ pub use runner::pulled_source::PulledSource;
 pub use runner::pulled_stage::PulledStage;
 pub use runner::side_ports::RetainedMessage;
 pub use side_inputs::{Pairing, SideInput, SideInputs};
-pub use stage::{Config, Context, Next, NoConfig, Output, Source, Stage, StageError, Stop};
+pub use stage::{Config, Context, Next, NoConfig, Output, Source, Stage, StageError};
 pub use status::{Counter, Durations, InputCounts, Intervals, Life, NO_RUN, Status, used};
+pub use stop::Stop;
 pub use table::Table;

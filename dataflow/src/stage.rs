@@ -5,10 +5,10 @@
 //! is a test.
 
 use crate::file_use::FileUse;
-use crate::heartbeat::Heartbeat;
 use crate::item_type::ItemType;
 use crate::ports::Delivery;
 use crate::side_inputs::{SideInput, SideInputs};
+use crate::stop::Stop;
 use bytemuck::try_cast_slice_mut;
 use conicflow_messages::{ConfigFault, Header, Item, Message};
 use schemars::JsonSchema;
@@ -16,8 +16,6 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
-use std::sync::{Arc, OnceLock};
 
 /// Why a stage could not start or go on; its text says what, where and, after `hint:`, what to do.
 pub type StageError = Box<dyn std::error::Error + Send + Sync>;
@@ -64,72 +62,6 @@ impl Context {
     /// A path from the pipeline file, relative to that file.
     pub fn resolve(&self, path: &Path) -> PathBuf {
         self.base.join(path)
-    }
-}
-
-/// A flag that is raised when the run is to end: in order, or at once.
-///
-/// Whoever asks for it lives: asking is the sign by which the launcher tells a stage that waits from one that hangs, so a
-/// step that may take seconds asks now and then.
-#[derive(Clone, Debug, Default)]
-pub struct Stop(Arc<Flags>);
-
-#[derive(Debug, Default)]
-struct Flags {
-    end: AtomicU8,
-    leave: AtomicBool,
-    heartbeat: OnceLock<Heartbeat>,
-}
-
-const IN_ORDER: u8 = 1;
-const AT_ONCE: u8 = 2;
-
-impl Stop {
-    /// Whether the run is to end.
-    pub fn requested(&self) -> bool {
-        self.show_life();
-        self.0.end.load(Ordering::Relaxed) >= IN_ORDER
-    }
-
-    /// Whether it is to end at once: nobody waits any more.
-    pub fn forced(&self) -> bool {
-        self.show_life();
-        self.0.end.load(Ordering::Relaxed) >= AT_ONCE
-    }
-
-    /// Ends the run in order: no new frames, and those under way are finished.
-    pub fn request(&self) {
-        self.0.end.fetch_max(IN_ORDER, Ordering::Relaxed);
-    }
-
-    /// Ends the run at once.
-    pub fn force(&self) {
-        self.0.end.fetch_max(AT_ONCE, Ordering::Relaxed);
-    }
-
-    fn show_life(&self) {
-        self.0.heartbeat.get().into_iter().for_each(Heartbeat::beat);
-    }
-
-    /// Says that this stage waits for another one to take its messages.
-    pub(crate) fn wait_for(&self, stage: &str) {
-        self.0.heartbeat.get().into_iter().for_each(|heartbeat| heartbeat.wait_for(stage));
-    }
-
-    /// From now on signs of life go there.
-    pub(crate) fn show_life_by(&self, heartbeat: Heartbeat) {
-        // A process has one stage, and one record.
-        self.0.heartbeat.set(heartbeat).ok();
-    }
-
-    /// Whether this stage is to leave its place to another process.
-    pub(crate) fn leaving(&self) -> bool {
-        self.0.leave.load(Ordering::Relaxed)
-    }
-
-    /// Asks this stage to leave its place to another process; the run goes on.
-    pub(crate) fn leave(&self) {
-        self.0.leave.store(true, Ordering::Relaxed);
     }
 }
 

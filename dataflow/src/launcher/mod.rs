@@ -33,7 +33,7 @@ use crate::plan::Plan;
 use crate::ports::PortError;
 use crate::ports::shared_memory::{Descriptors, ServiceKeeper, SharedMemory};
 use crate::preflight::{InsufficientResource, Requirements};
-use crate::stage::Stop;
+use crate::stop::Stop;
 use child::{Change, RunState, Supervised};
 use phase::{DELIVERY_GRACE, Due, Phase};
 use progress::Progress;

@@ -3,7 +3,7 @@
 use crate::item_type::ItemType;
 use crate::mutex::lock;
 use crate::ports::{ConnectedReader, Delivery, PortError, Reader, Received, Topic, Transport, Writer};
-use crate::stage::Stop;
+use crate::stop::Stop;
 use bytemuck::{cast_slice, cast_slice_mut};
 use conicflow_messages::{Header, Text};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};

@@ -1,7 +1,7 @@
 //! What a source most likely did not mean: its readers can but take what it sends as it stands, or leave it out, so it is told here,
 //! each once and with a hint.
 
-use conicflow_messages::Header;
+use conicflow_messages::{Header, Item, NoiseModel};
 
 /// The size that a time since 1970 has in another unit than nanoseconds, in the years from 2001 to 2286, and how many nanoseconds
 /// the unit has. A source that counts from its first frame comes to such a number as well, so this alone says nothing.
@@ -14,14 +14,15 @@ const LEAST_RISE_NS: u64 = 100_000;
 #[derive(Debug, Default)]
 pub(super) struct Doubts {
     stamp_ns: u64,
-    told: [bool; 3],
+    told: [bool; 4],
 }
 
 impl Doubts {
     /// What is to be told of a message with items of this `kind`.
     pub(super) fn about(&mut self, header: &Header, kind: &str) -> Vec<String> {
         let before = std::mem::replace(&mut self.stamp_ns, header.stamp_ns);
-        let doubts = [of_stamp(before, header.stamp_ns), of_pose(header), of_check(header, kind)];
+        let doubts =
+            [of_stamp(before, header.stamp_ns), of_pose(header), of_check(header, kind), of_noise(header, kind)];
         let new = self.told.iter_mut().zip(doubts).filter_map(|(told, doubt)| {
             let doubt = doubt.filter(|_| !*told)?;
             *told = true;
@@ -55,6 +56,15 @@ fn of_check(header: &Header, kind: &str) -> Option<String> {
     ))
 }
 
+/// The header of a source that never sets the noise says the same as that of a camera without any.
+fn of_noise(header: &Header, kind: &str) -> Option<String> {
+    let is_exact = kind == u16::NAME && header.noise == NoiseModel::IDEAL && !header.is_recorded();
+    is_exact.then(|| {
+        "sends depth images without noise, which only simulators have\n  hint: set `noise` of the header; the node `noise_estimator` measures that of a sensor"
+            .to_owned()
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -62,7 +72,7 @@ mod tests {
 
     fn header(stamp_ns: u64) -> Header {
         let camera = Camera { width: 640, height: 480, fx: 525.0, fy: 525.0, cx: 319.5, cy: 239.5 };
-        Header { stamp_ns, camera, depth_scale: 0.001, ..Header::default() }
+        Header { stamp_ns, camera, depth_scale: 0.001, noise: NoiseModel::KINECT_V1, ..Header::default() }
     }
 
     /// What is told of messages with these stamps.
@@ -83,6 +93,16 @@ mod tests {
         assert!(about(&in_ns(1_790_000_000_000_000_000)).is_empty());
         assert!(about(&in_ns(1_000_000_000_000)).is_empty(), "a quarter of an hour after the first frame");
         assert!(about(&[0, 7, 7, 3]).is_empty() && about(&[1_790_000_000_000; 3]).is_empty(), "it may be made up");
+    }
+
+    #[test]
+    fn depth_without_noise_is_reported_once() {
+        let mut doubts = Doubts::default();
+        let exact = Header { noise: NoiseModel::IDEAL, ..header(0) };
+        let reported = doubts.about(&exact, "depth");
+        assert!(reported.len() == 1 && reported[0].starts_with("sends depth images without noise"), "{reported:?}");
+        assert!(doubts.about(&exact, "depth").is_empty() && Doubts::default().about(&exact, "objects").is_empty());
+        assert!(Doubts::default().about(&Header { flags: RECORDED, ..exact }, "depth").is_empty());
     }
 
     #[test]

@@ -1,8 +1,8 @@
 //! When a source makes or sends its next message: at its rate, as far apart as the stamps are, and not while the run is paused.
 
 use crate::pause::{Pause, Turn};
-use crate::stage::Stop;
 use crate::status::{Pausing, StatusFile};
+use crate::stop::Stop;
 use std::time::{Duration, Instant};
 
 /// What is due later than this is never due, for whoever waits for it; 30 years, which any clock can tell.

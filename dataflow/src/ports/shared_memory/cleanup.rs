@@ -9,7 +9,7 @@
 
 use crate::file_lock::{Locked, is_shared, lock_within};
 use crate::ports::capacity::SHARED_MEMORY;
-use crate::stage::Stop;
+use crate::stop::Stop;
 use rustix::fs::Mode;
 use std::fs::{self, File, Metadata, OpenOptions, Permissions};
 use std::io::{self, ErrorKind};

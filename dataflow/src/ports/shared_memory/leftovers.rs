@@ -135,7 +135,7 @@ mod tests {
     use crate::clock::until;
     use crate::ports::Delivery;
     use crate::ports::shared_memory::tests::ReadingProcess;
-    use crate::stage::Stop;
+    use crate::stop::Stop;
     use std::fs::File;
 
     #[test]

@@ -6,7 +6,7 @@ use super::untyped::{Factory, Untyped, with_types};
 use crate::item_type::ItemType;
 use crate::ports::capacity::{ROOM_PER_PORT, in_words, room};
 use crate::ports::{Delivery, MAX_KEPT, OTHER_BUILD, PortError, Topic, TopicReader};
-use crate::stage::Stop;
+use crate::stop::Stop;
 use conicflow_messages::HEADER_TYPE_NAME;
 use iceoryx2::node::NodeCreationFailure;
 use iceoryx2::port::listener::Listener;

@@ -6,7 +6,7 @@ use crate::item_type::ItemType;
 use crate::ports::capacity::SHARED_MEMORY;
 use crate::ports::shared_memory::{SharedMemory, SharedMessage, SharedWriter, cleanup};
 use crate::ports::{Delivery, PortError, Reader, Received, Topic, TopicReader, Transport, Writer};
-use crate::stage::Stop;
+use crate::stop::Stop;
 use conicflow_messages::{Header, Hop, Object, Text, Track};
 use std::fs::OpenOptions;
 use std::io::{BufRead, BufReader, Read};

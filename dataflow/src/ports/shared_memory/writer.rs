@@ -10,7 +10,7 @@ use crate::mutex::lock;
 use crate::ports::capacity::{look_for_room, no_room, room};
 use crate::ports::patience::Patience;
 use crate::ports::{ConnectedReader, Delivery, PortError, Topic, Writer};
-use crate::stage::Stop;
+use crate::stop::Stop;
 use conicflow_messages::Header;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
