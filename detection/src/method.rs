@@ -8,13 +8,16 @@ use crate::assemble::arcs::Arcs;
 use crate::assemble::choice::{Chosen, choose};
 use crate::assemble::contours::Contours;
 use crate::assemble::growth::{Growing, chain, is_promising};
+use crate::assemble::odds::Evidence;
 use crate::assemble::place::overlap;
 use crate::assemble::seeds::Seeds;
 use crate::assemble::verify::verify_all;
 use crate::assemble::{Assembler, AssemblerParameters, Rejection, Rejections};
 use crate::extract::coarse::coarse_step;
+
+use crate::extract::noise_estimate::NoiseEstimate;
 use crate::extract::turned::turned;
-use crate::extract::{ArcRejections, Extractor};
+use crate::extract::{ArcRejections, Extractor, noise_level, noise_planes};
 use conicflow_geometry::Scan;
 use conicflow_messages::{Ellipse, Header, Object};
 
@@ -31,8 +34,6 @@ pub(crate) fn detect<'a>(
 impl Extractor {
     /// The ellipses of a depth image (`width * height` pixels row by row), in the order of the scan lines.
     pub fn extract(&mut self, header: &Header, image: &[u16]) -> &[Ellipse] {
-        // 1. Noise: how far the depths of neighbouring pixels scatter tells how noisy this image is (`noise_level.rs`), and
-        //    how many neighbours share their noise (`noise_planes.rs`).
         self.noise = self.estimate_noise(header, image);
         self.ellipses.clear();
         self.rejections = ArcRejections::default();
@@ -40,6 +41,25 @@ impl Extractor {
             self.look_along(header, image, scan);
         }
         &self.ellipses
+    }
+
+    /// How noisy an image is.
+    pub(crate) fn estimate_noise(&mut self, header: &Header, image: &[u16]) -> NoiseEstimate {
+        let Self { view, search, samples, squares, .. } = self;
+
+        // 1. Noise: the scatter of neighbouring depths gives its level (`noise_level.rs`); its correlation on planes gives how
+        //    many neighbours share their noise (`noise_planes.rs`). From both follows how many lines have to be averaged for the
+        //    step between two surfaces to be seen (`averaging.rs`).
+        let noise = noise_level::estimate(view, (header, image), search, samples);
+        view.turn(header, Scan::Row, &noise);
+        let correlation_px = noise_planes::correlation_px(view, image, squares);
+        let noise = NoiseEstimate { correlation_px, ..noise };
+        let depths = samples.range();
+        let averaged = [Scan::Row, Scan::Column].map(|scan| {
+            view.turn(header, scan, &noise);
+            view.lines_to_average(depths)
+        });
+        NoiseEstimate { averaged, ..noise }
     }
 
     /// Adds the ellipses of the rows, or of the columns, of an image.
@@ -93,32 +113,19 @@ impl Assembler {
         contours.next_image(&header.camera, parameters.pooled.contour_memory);
 
         while let Some(seed) = seeds.next(arcs, rejections) {
-            match object_around(seed, arcs, seeds, growing, contours, parameters) {
-                // 10. Decision: all evidence together tells how probable it is that this is an object (`odds.rs`); where there is
-                //     one already, there is no other (`place.rs`). The arcs that an object explains are taken out before the next
-                //     seed is tried, and what it shows of where this sensor puts contours helps the next objects (`contours.rs`).
-                Ok(Chosen { candidate, object, evidence }) => {
-                    candidates.push((object, evidence));
-                    let is_probable = f64::from(object.confidence) >= parameters.min_confidence;
-                    if is_probable && !objects.iter().any(|other| overlap(other, &object)) {
-                        contours.learn(&candidate.region, &object);
-                        seeds.take(&candidate, &object);
-                        objects.push(object);
-                        continue;
-                    }
-                    rejections.count(if is_probable { Rejection::Overlap } else { Rejection::Odds });
-                    // From any other of its arcs the same would grow.
-                    seeds.pass_over(candidate.region.members);
-                }
+            let found = object_around(seed, arcs, seeds, growing, contours, parameters);
+            match found.and_then(|chosen| decide(chosen, objects, candidates, seeds, contours, parameters)) {
+                Ok(()) => continue,
                 // Blobs of noise are the most curved of all, and cost no fit: they use up nothing.
                 Err(Rejection::FewRows) => {
                     rejections.count(Rejection::FewRows);
                     seeds.pass_over(&growing.chain);
-                    continue;
                 }
-                Err(reason) => rejections.count(reason),
+                Err(reason) => {
+                    rejections.count(reason);
+                    seeds.give_up(arcs, &growing.chain, parameters.max_gap());
+                }
             }
-            seeds.give_up(arcs, &growing.chain, parameters.max_gap());
         }
         objects
     }
@@ -151,4 +158,30 @@ fn object_around<'a>(
     // 9. Choice: the shape that explains most points with the fewest parameters, told with its uncertainty (`choice.rs`,
     //    `report.rs`).
     choose(verified, parameters, contours)
+}
+
+/// Takes in what was chosen as an object, or says why it is none.
+fn decide(
+    Chosen { candidate, object, evidence }: Chosen,
+    objects: &mut Vec<Object>,
+    candidates: &mut Vec<(Object, Evidence)>,
+    seeds: &mut Seeds,
+    contours: &mut Contours,
+    parameters: &AssemblerParameters,
+) -> Result<(), Rejection> {
+    candidates.push((object, evidence));
+
+    // 10. Decision: all evidence together tells how probable it is that this is an object (`odds.rs`); where there is one
+    //     already, there is no other (`place.rs`). The arcs that an object explains are taken out before the next seed is tried,
+    //     and what it shows of where this sensor puts contours helps the next objects (`contours.rs`).
+    let is_probable = f64::from(object.confidence) >= parameters.min_confidence;
+    if is_probable && !objects.iter().any(|other| overlap(other, &object)) {
+        contours.learn(&candidate.region, &object);
+        seeds.take(&candidate, &object);
+        objects.push(object);
+        return Ok(());
+    }
+    // From any other of its arcs the same would grow.
+    seeds.pass_over(candidate.region.members);
+    Err(if is_probable { Rejection::Overlap } else { Rejection::Odds })
 }

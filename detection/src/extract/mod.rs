@@ -15,9 +15,9 @@ mod arc;
 mod averaging;
 pub(crate) mod coarse;
 mod line;
-mod noise_estimate;
-mod noise_level;
-mod noise_planes;
+pub(crate) mod noise_estimate;
+pub(crate) mod noise_level;
+pub(crate) mod noise_planes;
 mod parameters;
 mod rays;
 mod rejection;
@@ -33,8 +33,7 @@ pub use parameters::{ExtractorParameters, ScanLines};
 pub(crate) use rejection::ArcRejections;
 
 use coarse::CoarseLines;
-use conicflow_geometry::Scan;
-use conicflow_messages::{Ellipse, Header, NoiseModel};
+use conicflow_messages::{Ellipse, NoiseModel};
 use noise_estimate::NoiseEstimate;
 use noise_level::NoiseSamples;
 use noise_planes::PlaneSquares;
@@ -49,8 +48,8 @@ pub struct Extractor {
     pub(crate) view: View,
     pub(crate) search: LineSearch,
     pub(crate) coarse: CoarseLines,
-    samples: NoiseSamples,
-    squares: PlaneSquares,
+    pub(crate) samples: NoiseSamples,
+    pub(crate) squares: PlaneSquares,
     /// The image with its columns for rows.
     pub(crate) columns: Vec<u16>,
     pub(crate) ellipses: Vec<Ellipse>,
@@ -81,22 +80,5 @@ impl Extractor {
     /// Standard deviations of what is near and of what is far in the last image, in those of the nominal noise model.
     pub fn noise_ratios(&self) -> [f64; 2] {
         self.noise.variance_ratios.map(f64::sqrt)
-    }
-
-    /// How noisy an image is.
-    pub(crate) fn estimate_noise(&mut self, header: &Header, image: &[u16]) -> NoiseEstimate {
-        let noise = noise_level::estimate(&mut self.view, (header, image), &mut self.search, &mut self.samples);
-        self.view.turn(header, Scan::Row, &noise);
-        let correlation_px = noise_planes::correlation_px(&self.view, image, &mut self.squares);
-        let noise = NoiseEstimate { correlation_px, ..noise };
-        let range = self.samples.range();
-        let averaged = [Scan::Row, Scan::Column].map(|scan| {
-            self.view.turn(header, scan, &noise);
-            let [_, across] = self.view.correlation_px;
-            // Over the depth, noise in steps is greatest at one end.
-            let lines = |depth: f64| averaging::lines(self.view.noise_in_steps(depth), across);
-            range.map_or(1, |range| range.map(lines).into_iter().max().unwrap_or(1))
-        });
-        NoiseEstimate { averaged, ..noise }
     }
 }

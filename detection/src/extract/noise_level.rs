@@ -61,7 +61,7 @@ struct NoiseSample {
 
 /// Buffers, used again for the next image.
 #[derive(Debug, Default)]
-pub(super) struct NoiseSamples {
+pub(crate) struct NoiseSamples {
     of_neighbors: Vec<NoiseSample>,
     of_curves: Vec<NoiseSample>,
 }
@@ -89,7 +89,7 @@ struct Half {
 }
 
 /// The noise of an image with this header; `view` is turned to its rows.
-pub(super) fn estimate(
+pub(crate) fn estimate(
     view: &mut View,
     (header, image): (&Header, &[u16]),
     search: &mut LineSearch,

@@ -73,7 +73,7 @@ struct CellSums {
 
 /// Buffers, used again for the next image.
 #[derive(Debug, Default)]
-pub(super) struct PlaneSquares {
+pub(crate) struct PlaneSquares {
     cells: Vec<CellSums>,
     squares: Vec<Square>,
     residuals: Vec<Residual>,
@@ -90,7 +90,7 @@ type Covariances = [[f64; 2]; FARTHEST + 1];
 ///
 /// The level of the noise was taken from neighbours, which do not show its longer waves. Planes are uneven by these as well:
 /// where they are so by more than the level explains, more neighbours count as one.
-pub(super) fn correlation_px(view: &View, image: &[u16], buffers: &mut PlaneSquares) -> [f64; 2] {
+pub(crate) fn correlation_px(view: &View, image: &[u16], buffers: &mut PlaneSquares) -> [f64; 2] {
     let half = (SIDE * view.length / USUAL_WIDTH).clamp(SIDES[0], SIDES[1]) / 2;
     buffers.sum_cells(view, image, half);
     MEASURED.into_iter().find_map(|measured| buffers.correlation_of(view, image, half, measured)).unwrap_or(UNSEEN)

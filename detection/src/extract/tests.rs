@@ -1,5 +1,6 @@
 use super::*;
 use crate::assemble::{Assembler, AssemblerParameters};
+use conicflow_geometry::Scan;
 use conicflow_geometry::Vector3;
 use conicflow_lab::rendered::{KINECT_HALF, block, cylinder, plane, render, scene_of, sphere};
 use conicflow_lab::simulator::random_scene::{SceneGroup, random_scene};
@@ -7,7 +8,7 @@ use conicflow_lab::simulator::scene::Scene;
 use conicflow_lab::simulator::sensor::{SensorConfig, SensorTable};
 use conicflow_lab::simulator::shapes::Shape;
 use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
-use conicflow_messages::{Camera, END_POINTS, Item, NoiseModel, Object};
+use conicflow_messages::{Camera, END_POINTS, Header, Item, NoiseModel, Object};
 use std::collections::BTreeSet;
 
 fn config(scan: ScanLines) -> ExtractorParameters {

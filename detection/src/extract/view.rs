@@ -225,6 +225,13 @@ impl View {
         JUMP_SIGMAS * self.variance(depth).sqrt() / step
     }
 
+    /// Number of lines to average in an image whose depths lie in this range: where noise is in steps, it is greatest at one end.
+    pub fn lines_to_average(&self, depths: Option<[f64; 2]>) -> u32 {
+        let [_, across] = self.correlation_px;
+        let lines = |depth: f64| averaging::lines(self.noise_in_steps(depth), across);
+        depths.map_or(1, |depths| depths.map(lines).into_iter().max().unwrap_or(1))
+    }
+
     /// Largest mean square error of `points` points that noise of this variance accounts for.
     #[inline]
     pub fn limit(&self, variance: f64, points: usize) -> f64 {
