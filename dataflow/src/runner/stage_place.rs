@@ -14,9 +14,8 @@ use conicflow_messages::Header;
 use std::fs::File;
 use std::time::{Duration, Instant};
 
-/// After this long without a message, a stage acknowledges the buffered messages of its side inputs: the frame that they wait for
-/// may have been lost with two stages.
-/// writer.
+/// After this long without a message, a stage acknowledges the buffered messages of its side inputs: the driving messages that
+/// belong to them may be lost, and the run would be blocked.
 const SILENCE_BEFORE_LETTING_GO: Duration = Duration::from_secs(5);
 /// Poll period of a stage that is not woken.
 const IDLE_CHECK_PERIOD: Duration = Duration::from_millis(100);
