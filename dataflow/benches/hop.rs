@@ -153,7 +153,7 @@ impl Folder {
 
 impl Drop for Folder {
     fn drop(&mut self) {
-        // what is left in the folder for temporary files harms nobody
+        // leftovers in the folder for temporary files do no harm
         let _ = std::fs::remove_dir_all(&self.0);
         // A bare service leaves one file in shared memory, whose name does not change.
         let shared = std::fs::read_dir("/dev/shm").into_iter().flatten().flatten();
@@ -344,7 +344,7 @@ fn send_bare(bytes: usize, folder: &Folder) -> Outcome<[f64; 2]> {
         *sample.user_header_mut() = monotonic_ns();
         sample.send()?;
         wake.notify()?;
-        // filled with zeros, outside what is measured
+        // filled with zeros outside of the measurement
         sample = publisher.loan_slice(bytes)?;
     }
     drop(sample);

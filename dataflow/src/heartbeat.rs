@@ -20,7 +20,7 @@ pub(crate) struct Heartbeat {
 }
 
 impl Heartbeat {
-    /// Heartbeat at the offset `alive_at` of a stage's record, and the stage that it waits for at `waits_at`.
+    /// Writes the time at the offset `alive_at` of a stage's record, and the stage that it waits for at `waits_at`.
     pub(crate) fn new(record: File, alive_at: usize, waits_at: usize) -> Self {
         let [given_ns, told_ns] = [AtomicU64::new(0), AtomicU64::new(0)];
         Self { record, alive_at: alive_at as u64, waits_at: waits_at as u64, given_ns, told_ns }

@@ -149,7 +149,7 @@ impl ItemType {
         !self.is_image && self.size * self.usual_length <= SHORT_LIST
     }
 
-    /// Whether this is the row of a type that every program knows.
+    /// Whether this is one of the [`BUILT_IN`] types, by its type name.
     pub fn is_built_in(&self) -> bool {
         BUILT_IN.iter().any(|row| row.type_name == self.type_name)
     }
@@ -239,7 +239,7 @@ pub struct AnyMessage<'a> {
 }
 
 impl<'a> AnyMessage<'a> {
-    /// The items as `T`; `None` if they are of another type.
+    /// The items as `T`, or as bytes for [`AnyByte`]; `None` if they are of another type.
     pub fn items<T: Item>(&self) -> Option<&'a [T]> {
         let same = self.item.fits(const { &ItemType::of::<T>() }) || T::TYPE_NAME == AnyByte::TYPE_NAME;
         if same { try_cast_slice(self.bytes).ok() } else { None }

@@ -112,7 +112,7 @@ pub(crate) enum Turn {
 pub(crate) struct Pause {
     /// `None` where it cannot be paused.
     file: Option<PauseFile>,
-    /// Number of steps that it has made, or that were requested before it started.
+    /// Number of steps that it has made, or that were requested before it was paused.
     steps: u64,
 }
 

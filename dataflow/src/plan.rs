@@ -232,7 +232,7 @@ impl PlannedStage {
         self.wiring.input.is_none()
     }
 
-    /// Whether it writes no topic of this machine: a sink, or a bridge that sends to other machines.
+    /// Whether its input leaves this machine's stages: a sink, or a bridge that sends to other machines.
     pub fn is_sink(&self) -> bool {
         match &self.runs {
             Runs::Bridge(plan) => !plan.outgoing.is_empty(),

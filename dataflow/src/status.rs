@@ -76,7 +76,7 @@ pub struct InputCounts {
     pub topic: Text<64>,
     /// Number of messages processed.
     pub received: u64,
-    /// Number of messages that the writer sent and this input dropped in favour of newer ones.
+    /// Number of messages that the writer sent and this input missed: replaced by newer ones, or lost.
     pub dropped: u64,
     /// Number of frames missing in the sequence, wherever they were lost.
     pub gaps: u64,
@@ -218,7 +218,7 @@ impl Intervals {
         (self.count > 0).then(|| self.sum_s / self.count as f64)
     }
 
-    /// Standard deviation in seconds; `None` of fewer than two.
+    /// Standard deviation in seconds; `None` for fewer than two.
     pub fn standard_deviation_s(&self) -> Option<f64> {
         let count = self.count as f64;
         let mean = self.sum_s / count;
@@ -252,7 +252,7 @@ pub struct Status {
     pub had_enough: u64,
     /// Last heartbeat of its process, on the monotonic clock, in nanoseconds.
     pub alive_ns: u64,
-    /// The stage whose reading it waits for, if it has waited for a tenth of a second.
+    /// The stage that it waits for to take its messages, if it has waited for a tenth of a second.
     pub waits_for: Text<32>,
     pausing: u64,
     /// Counts per input, the driving one first.

@@ -86,7 +86,7 @@ pub(crate) struct Supervised {
     at_work: Option<u32>,
     /// Number of processes that were seen at work, or were started after one that was.
     turns: u64,
-    /// Whether was logged already that the run waits only for this stage to join, as all its writers have ended.
+    /// Whether it was logged already that the run waits only for this stage to join, as all its writers have ended.
     is_last: bool,
     started: Instant,
     /// Whether it was started after the sources had been asked to stop, and still has to be asked, too.

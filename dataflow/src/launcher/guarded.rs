@@ -3,7 +3,7 @@
 //! A program may start other processes and leave them behind. They are in its process group, unless they have left it. A shell in
 //! the same group waits until its standard input is closed and the program has ended, and then kills the group. The launcher
 //! closes that input when the program has ended, and the system does when the launcher is killed. While the shell exists, no
-//! other process or group can get the number of this one.
+//! other process or group can get the id of this one.
 
 use crate::plan::{PlannedStage, Runs};
 use rustix::process::{Pid, Signal, kill_process};

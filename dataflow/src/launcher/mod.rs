@@ -95,7 +95,7 @@ pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
     // From here on a signal must not end this process, as its files would be left behind.
     let signals = signals()?;
     let requirements = Requirements::of(plan, options.nodes);
-    // Opening shared memory needs files, too. Leftovers of dead runs count as free room once they are removed.
+    // Shared memory needs open files itself. Leftovers of dead runs count as free room once they are removed.
     requirements.short_of_files().map_or(Ok(()), Err)?;
     SharedMemory::clean(folder.shared_memory())?;
     requirements.insufficient().into_iter().try_for_each(Err)?;

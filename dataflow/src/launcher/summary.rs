@@ -76,7 +76,7 @@ impl Summary {
         Self { pipeline: plan.pipeline.clone(), elapsed, stages: stages.collect(), links, ending }
     }
 
-    /// Whether the run ended by itself, lost no stage, and lost no message of a lossless reader.
+    /// Whether the run lost no stage and no message of a lossless reader, and did not stall at its end.
     pub fn is_complete(&self) -> bool {
         self.ending.complete && self.ending.stalled.is_none() && self.lost().is_empty()
     }
@@ -122,7 +122,7 @@ impl Summary {
         lost.chain(self.lost_on_the_way()).collect()
     }
 
-    /// Messages that lossless readers of other machines lost on the way: those that the bridge of this machine sent without an
+    /// Messages of lossless edges that were lost between machines: those that the bridge of this machine sent without an
     /// acknowledgement, and those that it could not send or pass on. Other losses are counted by the stages that miss them.
     fn lost_on_the_way(&self) -> impl Iterator<Item = LostMessages> {
         let links = self.links.iter().filter(|_| !self.ending.hurried);

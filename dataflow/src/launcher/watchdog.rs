@@ -34,7 +34,8 @@ impl Watchdog {
         Self { process, sign: None, silent: Duration::ZERO, looked: now, reported: false }
     }
 
-    /// Checks the last heartbeat in the stage's record (`sign`), if the record is that of `process`.
+    /// Checks the last heartbeat (`sign`) in the record of `process`; `None` without a record. The process hangs after a silence
+    /// of `limit`.
     pub(crate) fn look(
         &mut self,
         process: u32,

@@ -17,7 +17,7 @@ pub struct LinkReport {
     pub was_heard: bool,
     /// Shortest recent round-trip time, in milliseconds.
     pub round_trip_ms: Option<f64>,
-    /// Offset of its monotonic clock from this machine's, in seconds.
+    /// Its monotonic clock minus this machine's, in seconds.
     pub clock_offset_s: Option<f64>,
     /// Topics that the link carries.
     pub edges: Vec<EdgeReport>,

@@ -138,7 +138,7 @@ pub struct InputActivity {
     pub reader: String,
     /// Messages processed.
     pub received: u64,
-    /// Messages dropped in favour of newer ones.
+    /// Messages missed: replaced by newer ones, or lost.
     pub dropped: u64,
     /// Frames missing in the sequence.
     pub gaps: u64,

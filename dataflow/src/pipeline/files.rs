@@ -9,7 +9,7 @@ use conicflow_messages::Hinted;
 use serde_json::Value as Json;
 use std::path::Path;
 
-/// Files, and the stage whose parameter names them; `None`: the command line.
+/// Files, and the stage whose parameter names them; `None`: the pipeline file itself.
 struct Named<'a> {
     stage: Option<&'a StageSpec>,
     files: FileUse,

@@ -16,7 +16,7 @@ pub struct Machine {
     pub listen: Vec<String>,
     /// Zenoh endpoints that it connects to.
     pub connect: Vec<String>,
-    /// A file with a full Zenoh configuration, which extends and overrides these settings.
+    /// A file with a Zenoh configuration, which extends and overrides these settings.
     pub zenoh: Option<PathBuf>,
     /// File of the key that all machines of the pipeline share ([`LinkKey`](crate::LinkKey)).
     pub key: Option<PathBuf>,

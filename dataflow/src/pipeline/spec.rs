@@ -48,7 +48,7 @@ pub struct StageSpec {
     pub output_said: Option<String>,
     /// Machine that it runs on.
     pub machine: Option<String>,
-    /// What happens when it dies.
+    /// When it is restarted.
     pub restart: Restart,
     /// Time without a heartbeat, in seconds, after which it is killed; `None`: it is only reported.
     pub hang_s: Option<f64>,

@@ -145,7 +145,7 @@ impl Value {
         if let Content::String(text) = &self.content { Some(text) } else { None }
     }
 
-    /// The value as a quoted string, for a number, a date or the like that was meant as text.
+    /// Hint with the value in quotes, for a number, a date or the like that was meant as text.
     pub(crate) fn quoted(&self) -> Option<String> {
         if matches!(self.content, Content::String(_) | Content::Array(_) | Content::Table(_)) {
             return None;

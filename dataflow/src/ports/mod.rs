@@ -70,7 +70,7 @@ impl TopicReader {
 }
 
 impl Topic {
-    /// How the messages reach the stage `reader`.
+    /// Delivery to the stage `reader`.
     pub fn delivery_to(&self, reader: &str) -> Delivery {
         self.readers.iter().find(|entry| entry.stage == reader).map_or(Delivery::Latest, |entry| entry.delivery)
     }
@@ -87,7 +87,7 @@ impl Topic {
         lossless.map(|reader| reader.credit() + 1).max().unwrap_or(0)
     }
 
-    /// The length of the longest queue of a reader.
+    /// Length of the longest queue of a reader.
     pub(crate) fn longest_queue(&self) -> usize {
         self.readers.iter().map(|reader| reader.queue).max().unwrap_or(2)
     }
@@ -130,7 +130,7 @@ impl Topic {
         }
     }
 
-    /// Whether any reader wants every message.
+    /// Whether any reader is lossless.
     pub fn is_lossless(&self) -> bool {
         self.readers.iter().any(|reader| reader.delivery == Delivery::Lossless)
     }
@@ -181,14 +181,14 @@ pub enum PortError {
         /// The folder.
         path: PathBuf,
     },
-    /// Another type of message goes through this topic.
+    /// The topic carries another type of message.
     #[error("topic `{topic}` carries another type of message than {own}{said}\n  hint: {hint}")]
     Incompatible {
         /// The topic.
         topic: String,
         /// The type that this stage has.
         own: String,
-        /// Source of the contradiction.
+        /// Text that names the other type, where it is known.
         said: String,
         /// Hint.
         hint: String,
@@ -287,7 +287,7 @@ pub enum Polled<M> {
     Over,
 }
 
-/// Takes messages out of a topic.
+/// Reader of a topic.
 pub trait Reader {
     /// A message in the writer's memory.
     type Message: Received + Send + Sync + 'static;
@@ -326,7 +326,7 @@ pub trait Reader {
     }
 }
 
-/// Writes messages into a topic.
+/// Writer of a topic.
 pub trait Writer {
     /// Type of the items.
     fn item(&self) -> &ItemType;
@@ -383,11 +383,11 @@ pub struct ConnectedReader {
     pub stage: String,
 }
 
-/// Opens the ends of topics.
+/// Opens readers and writers of topics.
 pub trait Transport {
-    /// Its reader.
+    /// Type of its readers.
     type Reader: Reader + Send + 'static;
-    /// Its writer.
+    /// Type of its writers.
     type Writer: Writer + Send + 'static;
 
     /// Opens a topic with items of this type for the stage `stage` to read.

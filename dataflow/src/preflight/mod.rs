@@ -101,7 +101,7 @@ impl Requirements {
         enough(read + written, || format!("replace stage `{}`", stage.name))
     }
 
-    /// Bytes that a topic needs for an additional reader that queues and holds this many messages.
+    /// Bytes that a topic needs for an additional port, with this many more messages in queues and held.
     fn with_another_reader(&self, topic: &Topic, queue: usize, held: usize) -> u64 {
         let own = self.topics.iter().find(|requirements| requirements.name == topic.name);
         own.map_or(0, |requirements| requirements.longest_message) * (queue + held) as u64 + ROOM_PER_PORT as u64

@@ -55,7 +55,7 @@ impl<T: Item> Memory for Loan<T> {
     }
 }
 
-/// Checks a message as a reader would; that of a sink has no reader.
+/// Checks a message as a reader would; the output of a sink is not checked.
 fn check<T: Item>(header: &Header, items: &[T]) -> Result<(), StageError> {
     let item = const { ItemType::of::<T>() };
     Ok(if item.is::<Nothing>() { Ok(()) } else { item.check(header, cast_slice(items)) }?)

@@ -18,7 +18,7 @@ use std::time::Duration;
 
 /// Environment variable: this process is to replace another of the same stage.
 pub(crate) const SUCCESSOR: &str = "CONICFLOW_SUCCESSOR";
-/// Time for which a successor waits for the first message of writers that it may miss one of.
+/// Maximum wait of a successor for the first message of a writer whose topic it does not read losslessly.
 const FIRST_MESSAGE_TIMEOUT: Duration = Duration::from_secs(1);
 /// Period at which a waiting process checks whether it still has to wait.
 const WAIT_CHECK_PERIOD: Duration = Duration::from_millis(20);

@@ -452,7 +452,7 @@ impl<R: Reader> InputPort<R> {
         let lost = header.number.saturating_sub(next);
         self.counts.dropped = self.counts.dropped.saturating_add(lost);
         if last.is_none() {
-            // Frames before the first one of a source may be missing without a gap.
+            // `in_sequence` does not count the frames before the first one of a source.
             self.counts.gaps = self.counts.gaps.saturating_add(lost);
         }
     }

@@ -110,7 +110,7 @@ impl<R: Reader> SidePort<R> {
         &self.name
     }
 
-    /// Finds the message that belongs to a step, or for a source (`None`) the latest one.
+    /// Finds the message for a step: by the pairing that of its frame or the latest one; for a source (`None`) the latest one.
     pub(crate) fn find(&mut self, step: Option<&Header>) -> Result<(), PortError> {
         match (self.pairing, step) {
             (Pairing::SameFrame, Some(header)) => self.find_same_frame(header),

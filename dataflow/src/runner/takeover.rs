@@ -49,7 +49,8 @@ pub(crate) fn take_place<T: Transport>(
     Ok(Some(inputs))
 }
 
-/// Waits until a message of each writer is buffered, with its side messages; `false` if the successor is no longer wanted.
+/// Waits until a message of each writer is buffered, with those of the side inputs that belong to it; `false` if the successor is
+/// no longer wanted.
 fn buffers_all<T: Transport>(
     successor: &mut Successor,
     (side_inputs, input_port): &mut Inputs<T::Reader>,

@@ -82,7 +82,7 @@ pub(crate) enum Litter {
     None,
     /// Number of processes that joined its shared memory and died.
     Processes(usize),
-    /// Files that no process refers to or uses.
+    /// Unregistered files that no process uses.
     Files,
 }
 
@@ -117,10 +117,10 @@ pub(crate) fn clear(root: &Path) -> Result<Litter, PortError> {
     Ok(litter)
 }
 
-/// Checks that a folder with this path can hold sockets, whether it exists or not.
+/// Checks that the path of a folder suits sockets and shared memory; the folder need not exist.
 ///
 /// # Errors
-/// The path is too long or has unusable characters.
+/// The path is too long or, if the folder exists, has unusable characters.
 pub(crate) fn check_path(root: &Path) -> Result<(), PortError> {
     match configuration(root) {
         Err(error @ (PortError::PathTooLong { .. } | PortError::PathUnusable { .. })) => Err(error),

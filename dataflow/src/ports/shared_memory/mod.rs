@@ -8,7 +8,7 @@
 //! until the reader has [acknowledged](acknowledgements) them, and sends no more than fit there. A restarted reader receives the
 //! history, and continues after the last acknowledgement.
 
-#![allow(unsafe_code)] // layouts in shared memory, loans whose content is left over, leases on files, pages given back
+#![allow(unsafe_code)] // layouts in shared memory, loans with old content, leases on files, pages returned to the system
 
 pub(crate) mod acknowledgements;
 mod cleanup;

@@ -127,7 +127,7 @@ impl SharedMemory {
         }
     }
 
-    /// The service of a topic's messages.
+    /// Opens or creates the service of a topic's messages.
     pub(super) fn messages(&self, item: &ItemType, topic: &Topic) -> Result<Factory, PortError> {
         let opened = self.messages_builder(item, topic)?.open_or_create();
         opened.map_err(|error| self.messages_fault(item, topic, error))

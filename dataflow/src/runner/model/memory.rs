@@ -234,7 +234,7 @@ impl Channel {
         all.all(|(publisher, number)| number < self.finished || holds(publisher, number))
     }
 
-    /// Cleans up dead writers: messages that a reader has not found are lost.
+    /// Cleans up dead writers: the messages of a writer are lost for readers that have not found it yet.
     fn clear_away_if(&mut self, which: impl Fn(u8) -> bool) {
         let is_cleared = |publisher: &Publisher| publisher.is_dead && which(publisher.port);
         let cleared: Vec<u8> = self.publishers.iter().filter(|own| is_cleared(own)).map(|own| own.port).collect();

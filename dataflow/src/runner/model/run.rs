@@ -240,7 +240,7 @@ impl Run {
         self.life(stage, Life::Gone);
     }
 
-    /// SIGINT to the source; a process without a handler yet dies.
+    /// Sends SIGINT to the source; a process that has no handler yet dies.
     fn interrupt(&mut self) {
         self.is_ending = true;
         let source = &mut self.stages[0];
