@@ -1,9 +1,9 @@
-//! Time of one hop from process to process, from before a message is sent to when its reader has it, woken by its coming:
-//! a topic of this crate, beside a bare iceoryx2 service with an event, a Unix socket, and a plain copy of the same bytes.
-//! And what it costs to keep the messages of a lossless topic until its reader has finished them: the same hop with and without,
-//! and the time of a message when both sides go as fast as they can, one filling it and the other reading all of it.
+//! Time of one hop between processes: from before a message is sent until its reader, which it wakes, has it. Compares a topic of
+//! this crate, a bare iceoryx2 service with an event, a Unix socket, and a plain copy of the same bytes. Also the cost of keeping
+//! the messages of a lossless topic until its reader has finished them: the same hop with and without, and the time per message
+//! when both sides run at full speed, one filling messages and the other reading them completely.
 //!
-//! `cargo bench -p conicflow-dataflow --bench hop`; microseconds. All ways take turns, so that a busy machine harms them
+//! `cargo bench -p conicflow-dataflow --bench hop`; microseconds. All ways take turns, so that load on the machine affects them
 //! alike; figures are medians over rounds.
 
 use conicflow_dataflow::ports::shared_memory::{SharedMemory, SharedWriter};
@@ -27,19 +27,19 @@ type Outcome<T> = Result<T, Box<dyn Error>>;
 /// Bytes of a message: a short list to an image of 1280x960 depths of 32 bits.
 const SIZES: [usize; 5] = [64, 4096, 65_536, 614_400, 4_915_200];
 const ROUNDS: usize = 5;
-/// Messages in a round.
+/// Number of messages in a round.
 const MESSAGES: usize = 300;
 /// Long enough for a reader to fall asleep.
 const PAUSE: Duration = Duration::from_millis(2);
-/// Messages that wait for a reader that was held up.
+/// Queue length, for a reader that is delayed.
 const QUEUE: usize = 16;
-/// The same where the writer waits, as a pipeline file has it that names no other.
+/// The same for a lossless reader, as by default in a pipeline file.
 const LOSSLESS_QUEUE: usize = 4;
 const WRITER: &str = "writer";
-/// A reader that has not got what it waits for by then has failed.
+/// Timeout after which a waiting reader has failed.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// What the names of a bare service's files begin with.
+/// Prefix of a bare service's files.
 const BARE_PREFIX: &[u8] = b"hop_";
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -119,7 +119,7 @@ fn median(rounds: &[[f64; 2]], column: usize) -> f64 {
     values[values.len() / 2]
 }
 
-/// The median time of copying so many bytes.
+/// Median time of copying this many bytes.
 fn copy_us(bytes: usize) -> f64 {
     let (from, mut to) = (vec![1_u8; bytes], vec![0_u8; bytes]);
     let copy = |_| {
@@ -140,7 +140,7 @@ fn hop_us(way: Way, bytes: usize) -> Outcome<[f64; 2]> {
     }
 }
 
-/// A folder for one round, in which its files are.
+/// Folder for the files of one round.
 struct Folder(PathBuf);
 
 impl Folder {
@@ -153,16 +153,16 @@ impl Folder {
 
 impl Drop for Folder {
     fn drop(&mut self) {
-        // what is left in the folder for temporary files harms nobody
+        // leftovers in the folder for temporary files do no harm
         let _ = std::fs::remove_dir_all(&self.0);
-        // Of a bare service one file stays in shared memory, whose name does not change.
+        // A bare service leaves one file in shared memory, whose name does not change.
         let shared = std::fs::read_dir("/dev/shm").into_iter().flatten().flatten();
         let own = shared.filter(|entry| entry.file_name().as_encoded_bytes().starts_with(BARE_PREFIX));
         own.for_each(|entry| drop(std::fs::remove_file(entry.path())));
     }
 }
 
-/// The reading process: it says a line when it is there, and one with its percentiles at the end.
+/// The reading process: it prints a line when it is ready, and one with its percentiles at the end.
 struct ReadingProcess {
     child: Child,
     says: BufReader<ChildStdout>,
@@ -206,7 +206,7 @@ fn read(way: &str, bytes: usize, folder: &Path) -> Outcome<()> {
     Ok(())
 }
 
-/// Receives what is there, then waits for more, until all have come; their ages in nanoseconds.
+/// Receives messages, waiting for more, until all have come. Returns their ages in nanoseconds.
 fn ages(wait: impl Fn() -> Outcome<()>, mut receive: impl FnMut() -> Outcome<Option<u64>>) -> Outcome<Vec<u64>> {
     println!("ready");
     let (mut ages, start) = (Vec::with_capacity(MESSAGES), Instant::now());
@@ -234,7 +234,7 @@ fn memory(way: Way, folder: &Path, stage: &str) -> Outcome<SharedMemory> {
     Ok(if way == Way::Kept { memory.kept_in(folder) } else { memory })
 }
 
-/// Sends a message as a stage does: a lossless reader has to have room.
+/// Sends a message as a stage does, once a lossless reader has room.
 fn send(writer: &mut SharedWriter, number: u64) -> Outcome<()> {
     while writer.unfinished("reader") > LOSSLESS_QUEUE {
         writer.wait(PAUSE);
@@ -271,7 +271,7 @@ fn read_topic(way: Way, folder: &Path) -> Outcome<Vec<u64>> {
     })
 }
 
-/// The time of a message where the writer fills one after the other, and the reader reads them.
+/// Time per message when the writer fills one after the other, and the reader reads them.
 fn message_us(way: Way, bytes: usize) -> Outcome<f64> {
     let folder = Folder::new()?;
     let _services = memory(way, &folder.0, "launcher")?.keep_services([topic(way)].iter())?;
@@ -292,7 +292,7 @@ fn message_us(way: Way, bytes: usize) -> Outcome<f64> {
     Ok(start.elapsed().as_secs_f64() * 1e6 / MESSAGES as f64)
 }
 
-/// Reads all messages, and says when that is done.
+/// Reads all messages, and prints a line when done.
 fn take(way: &str, folder: &Path) -> Outcome<()> {
     let way = if way == Way::Kept.name() { Way::Kept } else { Way::Lossless };
     let memory = memory(way, folder, "reader")?;
@@ -344,7 +344,7 @@ fn send_bare(bytes: usize, folder: &Folder) -> Outcome<[f64; 2]> {
         *sample.user_header_mut() = monotonic_ns();
         sample.send()?;
         wake.notify()?;
-        // filled with zeros, outside what is measured
+        // filled with zeros outside of the measurement
         sample = publisher.loan_slice(bytes)?;
     }
     drop(sample);

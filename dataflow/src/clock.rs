@@ -1,4 +1,4 @@
-//! The clock of hop times: monotonic, shared by all processes of one machine. And the one that is set to the time of day.
+//! Clocks: the monotonic one for hop times, which all processes of one machine share, and the time of day.
 
 use rustix::time::{ClockId, clock_gettime};
 use std::time::UNIX_EPOCH;
@@ -9,12 +9,12 @@ pub fn monotonic_ns() -> u64 {
     now.tv_sec.unsigned_abs() * 1_000_000_000 + now.tv_nsec.unsigned_abs()
 }
 
-/// Nanoseconds since the Unix epoch; 0 where the clock is set to a time before it.
+/// Nanoseconds since the Unix epoch; 0 if the clock is set to an earlier time.
 pub fn unix_ns() -> u64 {
     UNIX_EPOCH.elapsed().map_or(0, |since| since.as_nanos() as u64)
 }
 
-/// Waits until something is so, but not for ever; whether it is.
+/// Waits until a condition holds, at most for 20 seconds. Returns whether it does.
 #[cfg(test)]
 pub(crate) fn until(mut is_so: impl FnMut() -> bool) -> bool {
     let begin = std::time::Instant::now();

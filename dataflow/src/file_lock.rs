@@ -1,11 +1,11 @@
-//! Locks of files, which the kernel gives back however a process ends.
+//! Locks of files, which the kernel releases however a process ends.
 
 use std::fs::{File, TryLockError};
 use std::io;
 use std::time::{Duration, Instant};
 
-/// A file whose lock is given back together with it. Closing it is not enough: a process that another thread starts has a copy of
-/// it until it is another program.
+/// A file whose lock is released on drop. Closing the file is not enough: a process that another thread forks holds a copy of the
+/// descriptor until it execs.
 #[derive(Debug)]
 pub(crate) struct Locked(pub(crate) File);
 
@@ -15,8 +15,8 @@ impl Drop for Locked {
     }
 }
 
-/// Takes a lock for this process alone, and pauses so long for those who have it, if they are worth waiting for; whether it was
-/// taken.
+/// Takes an exclusive lock. While other processes hold it and `is_worth_waiting`, it calls `pause` and retries, up to `grace`.
+/// Returns whether the lock was taken.
 pub(crate) fn lock_within(
     grace: Duration,
     lock: &File,
@@ -34,7 +34,7 @@ pub(crate) fn lock_within(
     }
 }
 
-/// Whether those who keep this from taking the lock share it. It is let go of again.
+/// Whether the lock is held as a shared one. The shared lock taken for the check is released.
 pub(crate) fn is_shared(lock: &File) -> bool {
     lock.try_lock_shared().is_ok_and(|()| lock.unlock().is_ok())
 }

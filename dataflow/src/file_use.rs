@@ -1,15 +1,15 @@
-//! Which files a stage or a command reads, and which it writes, so that what is read is never written over.
+//! Files that a stage or a command reads or writes; conflicts are detected, so that no input is ever overwritten.
 //!
-//! Files are the same where the system says so: by device and inode, whatever the paths to them are called. A file that is not
-//! there yet is known by the nearest folder above it that is, and the rest of its path. What is neither a file nor a folder, such
-//! as `/dev/null` or a pipe, keeps nothing, and anybody may write there.
+//! Two paths name the same file if the system says so, by device and inode. A file that does not exist yet is identified by its
+//! nearest existing folder and the rest of its path. Anything but a file or folder, such as `/dev/null` or a pipe, stores
+//! nothing, and may be written by all.
 
 use conicflow_messages::Hinted;
 use std::fs::Metadata;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Component, Path, PathBuf};
 
-/// As many symbolic links the system follows one after the other.
+/// Maximum number of symbolic links followed in a row, as in Linux.
 const MAX_LINKS: usize = 40;
 
 /// Files that are read or written, and the parameter that names them.
@@ -19,44 +19,44 @@ pub struct FileUse {
     pub key: &'static str,
     path: PathBuf,
     names: Names,
-    /// That of the file, or of the folder of several.
+    /// Identity of the file, or of the folder of several.
     identity: Option<Identity>,
 }
 
-/// What the files are called.
+/// Names of the files.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Names {
-    /// There is one, and its path is known.
+    /// A single file with a known path.
     Known,
-    /// Files of a folder with a number between these.
+    /// Files of a folder with a number between these two texts.
     Numbered { prefix: String, ending: String },
-    /// Files of a folder that end so.
+    /// Files of a folder with this ending.
     Ending(String),
 }
 
-/// What tells a file or a folder from all others.
+/// Identity of a file or a folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Identity {
     device: u64,
     inode: u64,
-    /// From there to what does not exist yet.
+    /// Path from there to a file that does not exist yet.
     rest: PathBuf,
 }
 
 impl FileUse {
-    /// One file, which the parameter `key` names; there need not be one. A folder in its place is told of elsewhere.
+    /// One file, named by the parameter `key`; it need not exist. A folder in its place is reported elsewhere.
     pub fn one(key: &'static str, path: PathBuf) -> Self {
         let identity = Identity::of(&path).filter(|_| !path.is_dir());
         Self { key, identity, path, names: Names::Known }
     }
 
-    /// Those of the parameters that are given, each the path of a file, relative to `base`.
+    /// The files of those parameters that are given, with paths relative to `base`.
     pub fn given<const N: usize>(base: &Path, parameters: [(&'static str, &Option<PathBuf>); N]) -> Vec<Self> {
         let file = |(key, path): (_, &Option<PathBuf>)| path.as_ref().map(|path| Self::one(key, base.join(path)));
         parameters.into_iter().filter_map(file).collect()
     }
 
-    /// Files of a folder that are numbered, such as `frame_000012.png` with `frame_` and `.png`.
+    /// Numbered files of a folder, such as `frame_000012.png` with `frame_` and `.png`.
     pub fn numbered(key: &'static str, folder: PathBuf, prefix: impl Into<String>, ending: impl Into<String>) -> Self {
         let names = Names::Numbered { prefix: prefix.into(), ending: ending.into() };
         Self { key, identity: Identity::of(&folder), path: folder, names }
@@ -67,7 +67,7 @@ impl FileUse {
         Self { key, identity: Identity::of(&folder), path: folder, names: Names::Ending(ending.into()) }
     }
 
-    /// What is wrong with writing these files where `read` are read; `reader` and `writer` are what names them, in words.
+    /// Error if these files may overwrite the files `read`; `reader` and `writer` describe the parameters.
     pub fn over_what_is_read(&self, writer: &str, read: &Self, reader: &str) -> Option<Hinted> {
         if !self.meets(read) {
             return None;
@@ -89,8 +89,7 @@ impl FileUse {
         })
     }
 
-    /// What is wrong with writing these files where somebody else writes those. Where nothing but an ending is known of the
-    /// names, they may well be different.
+    /// Error if these files may be the same as those of another writer. Files known only by their ending are assumed to differ.
     pub fn over_what_is_written(&self, writer: &str, other: &Self, other_writer: &str) -> Option<Hinted> {
         let are_known = [self, other].iter().all(|files| !matches!(files.names, Names::Ending(_)));
         (are_known && self.meets(other)).then(|| {
@@ -99,15 +98,15 @@ impl FileUse {
         })
     }
 
-    /// What is wrong with beginning to write this file in the midst of a run, in which the stage wrote those of `before`: it is
-    /// there already, and would be gone on with as if it were one of them.
+    /// Error if this file, which the stage would start to write during a run, exists already and is not one of `before`, the
+    /// stage's files so far: it would be continued as if it were.
     pub(crate) fn over_what_is_there(&self, writer: &str, before: &[Self]) -> Option<Hinted> {
         let is_new = self.names == Names::Known && self.path.is_file() && !before.iter().any(|own| self.meets(own));
         let what = || format!("{writer} would go on with `{}`, which is there already", self.path.display());
         is_new.then(|| Hinted::new(what(), "name another file, or move that one away"))
     }
 
-    /// Whether some file is among both.
+    /// Whether the two sets may have a file in common.
     fn meets(&self, other: &Self) -> bool {
         match (&self.names, &other.names) {
             (Names::Known, Names::Known) => self.identity.is_some() && self.identity == other.identity,
@@ -117,7 +116,7 @@ impl FileUse {
         }
     }
 
-    /// Whether a file is among those of a folder.
+    /// Whether a file is one of those of a folder.
     fn takes_in(&self, file: &Path) -> bool {
         let Some(name) = file.file_name() else { return false };
         let is_called_so = self.names.take_in(&name.to_string_lossy());
@@ -150,16 +149,16 @@ impl Names {
     }
 }
 
-/// Whether a name ends so, in small letters or in capital ones.
+/// Whether a name has this ending, in lower or upper case.
 fn ends_in(name: &str, ending: &str) -> bool {
     name.to_lowercase().ends_with(&ending.to_lowercase())
 }
 
 impl Identity {
-    /// That of a path, if it is or may become a file or a folder.
+    /// Identity of a path, if it is or may become a file or a folder.
     fn of(path: &Path) -> Option<Self> {
         let mut path = std::path::absolute(path).ok()?;
-        // A link to what is not there yet: the file is made where it leads.
+        // A link to a missing file: the file is created at the link's target.
         for _ in 0..MAX_LINKS {
             let Some(target) = path.read_link().ok().filter(|_| !path.exists()) else { break };
             path = folder_of(&path).join(target);
@@ -180,7 +179,7 @@ impl Identity {
         if !rest.components().any(|part| part == Component::ParentDir) {
             return Some(Self::at(&about, rest.to_owned()));
         }
-        // Folders that are made on the way are no links: what goes into one and out again leads nowhere.
+        // The missing folders will be created, and are no links, so `..` cancels the part before it.
         let mut way = PathBuf::new();
         for part in rest.components() {
             if part == Component::ParentDir { way.pop().then_some(())? } else { way.push(part) }
@@ -196,7 +195,7 @@ mod tests {
     use std::os::unix::fs::symlink;
     use tempfile::{TempDir, tempdir};
 
-    /// A folder `frames` with a file `0.png`, and other ways that lead there.
+    /// A folder `frames` with a file `0.png`, and links to both.
     fn frames() -> TempDir {
         let folder = tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);

@@ -1,20 +1,21 @@
-//! What a source says once of its frames.
+//! Log messages about a source's frames, each logged once.
 
 use conicflow_messages::{Camera, is_measured, median_depth};
 use std::ops::Range;
 
-/// Median depths outside of this, in metres, speak for a wrong `depth_scale`.
+/// Plausible range of a median depth in metres; a value outside of it suggests a wrong `depth_scale`.
 const PLAUSIBLE_DEPTH_M: Range<f64> = 0.1..20.0;
-/// Counter of the measurements of a frame that are left out because they are farther away than a pixel of 16 bits can tell.
+/// Counter of measurements that are left out of a frame because they exceed the range of a 16-bit pixel.
 pub const TOO_FAR: &str = "points too far";
 
-/// Says what frames are like by the pixels of one of them, so that a wrong scale is seen; whether any of these is measured.
+/// Logs properties of the frames by the pixels of one of them, so that a wrong scale is noticed. Returns whether any pixel is
+/// measured.
 pub fn report_frame(what: &str, name: &str, camera: &Camera, depth_scale: f64, pixels: &[u16]) -> bool {
     let median_m = median_depth(pixels).map(|median| f64::from(median) * depth_scale);
     median_m.inspect(|median_m| report_median(what, name, camera, *median_m)).is_some()
 }
 
-/// Says what frames are like, by their camera and the median depth of one of them, so that a wrong scale is seen.
+/// Logs properties of the frames: their camera, and the median depth of one of them, so that a wrong scale is noticed.
 pub fn report_median(what: &str, name: &str, camera: &Camera, median_m: f64) {
     tracing::info!(
         "{what} of {}x{}, fx {:.2} fy {:.2} cx {:.2} cy {:.2}; `{name}` has a median depth of {median_m:.3} m",
@@ -33,7 +34,7 @@ pub fn report_median(what: &str, name: &str, camera: &Camera, median_m: f64) {
     }
 }
 
-/// Says of frames without any measurement why they have none, each reason once.
+/// Reports why frames have no measurement, each reason once.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct EmptyFrames {
     told_unmeasured: bool,
@@ -41,12 +42,13 @@ pub struct EmptyFrames {
 }
 
 impl EmptyFrames {
-    /// The same, which says nothing.
+    /// One that reports nothing.
     pub fn silent() -> Self {
         Self { told_unmeasured: true, told_too_far: true }
     }
 
-    /// Looks at the pixels of a frame, and how many of its measurements were left out as too far. What it says, if anything.
+    /// Checks the pixels of a frame and the number of its measurements that were left out as too far. Returns the message to log,
+    /// if any.
     pub fn look(&mut self, name: &str, pixels: &[u16], too_far: u64) -> Option<String> {
         let told = if too_far > 0 { &mut self.told_too_far } else { &mut self.told_unmeasured };
         if *told || pixels.iter().any(|&pixel| is_measured(pixel)) {

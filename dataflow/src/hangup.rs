@@ -1,24 +1,24 @@
-//! The signals that end a program, or stop it until it is told to go on, but for the one that says that the terminal has gone
-//! (SIGHUP) where whoever started it wants it to outlive that: `nohup` and its like have that signal ignored, and it stays so.
+//! The signals that end or suspend a program. SIGHUP (the terminal has gone) is not handled if it is ignored at the start, as
+//! under `nohup`: the program is then to outlive its terminal.
 //!
-//! SIGINT is heard also where it is ignored at the start: shells do that to all that scripts start in the background, and such a
-//! script ends a run by that signal.
+//! SIGINT is handled even if it is ignored at the start: shells ignore it for all processes that a script starts in the
+//! background, and such a script ends a run by that signal.
 
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGTSTP};
 use std::fs::read_to_string;
 
-/// Where Linux tells which signals a process ignores, as bits, of which the lowest is that of signal 1.
+/// Linux's file with the signals that a process ignores, as a bit mask; the lowest bit is signal 1.
 const STATUS: &str = "/proc/self/status";
 const IGNORED: &str = "SigIgn:";
 
-/// The signals that end this program; to be asked before any of them is received.
+/// The signals that end this program; has to be called before any handler is installed.
 pub(crate) fn ending_signals() -> Vec<i32> {
-    // Where nobody tells, none is ignored.
+    // If the file cannot be read, no signal counts as ignored.
     let is_ignored = read_to_string(STATUS).is_ok_and(|status| is_ignored(SIGHUP, &status));
     [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|signal| *signal != SIGHUP || !is_ignored).collect()
 }
 
-/// The signal of Ctrl-Z, if this program is not to ignore it; to be asked before it is received.
+/// The signal of Ctrl-Z, unless it is ignored; has to be called before its handler is installed.
 pub(crate) fn stopping_signal() -> Option<i32> {
     let is_ignored = read_to_string(STATUS).is_ok_and(|status| is_ignored(SIGTSTP, &status));
     (!is_ignored).then_some(SIGTSTP)

@@ -1,7 +1,7 @@
-//! Item types as those see them who carry items without knowing what they are: name, size, and how to check and show bytes.
+//! Item types at run time, for code that carries items of unknown type: name, size, and functions to check and show the bytes.
 //!
-//! A type that this program knows has a row in [`BUILT_IN`]: that makes it available to the pipeline file, the service
-//! keeper, `topic`, `json_sink` and the bridge. Any other type is described in the pipeline file, under `[item.NAME]`.
+//! A type that this program knows has a row in [`BUILT_IN`]: the row makes it available to the pipeline file, the service keeper,
+//! `topic`, `json_sink` and the bridge. Any other type is described in the pipeline file, under `[item.NAME]`.
 
 use bytemuck::{cast_slice_mut, try_cast_slice};
 use conicflow_messages::{
@@ -12,7 +12,7 @@ use std::borrow::Cow;
 use std::fmt::{self, Display, Formatter};
 use std::sync::Arc;
 
-/// The item types that every program knows, in the order in which a frame meets them.
+/// The item types that every program knows, in the order of the pipeline.
 pub static BUILT_IN: [ItemType; 5] = [
     ItemType::shown::<u16>(),
     ItemType::shown::<Ellipse>(),
@@ -21,7 +21,7 @@ pub static BUILT_IN: [ItemType; 5] = [
     ItemType::shown::<Velocity>(),
 ];
 
-/// Items are aligned to no more than this; shared memory and buffers are to as much.
+/// Maximum alignment of items, in bytes; shared memory and buffers are aligned to it.
 pub(crate) const MAX_ALIGN: usize = align_of::<u64>();
 /// A list that is usually no longer than this, in bytes, counts as short: it crosses a network in a few packets.
 const SHORT_LIST: usize = 64 * 1024;
@@ -47,19 +47,19 @@ pub struct ItemType {
 /// How the bytes of items are checked and shown.
 #[derive(Clone, Debug)]
 enum Form {
-    /// By a program that has the type; it may be unable to show them.
+    /// By code for a Rust type; showing is optional.
     Known(Check, Labels, Option<Json>),
     /// By the description in the pipeline file.
     Described(Arc<Layout>),
 }
 
 impl ItemType {
-    /// A type that this program has.
+    /// Item type of a Rust type.
     pub const fn of<T: Item>() -> Self {
         Self::known::<T>(None)
     }
 
-    /// A type that this program has and can show.
+    /// Item type of a Rust type that can be shown as JSON.
     pub const fn shown<T: ToJson>() -> Self {
         Self::known::<T>(Some(json::<T>))
     }
@@ -81,7 +81,7 @@ impl ItemType {
         }
     }
 
-    /// A type that no program has to know, by its fields; messages with more than `usual_length` items are rare.
+    /// Item type described by its fields, unknown to the program; few messages have more than `usual_length` items.
     pub fn described(name: &str, type_name: &str, layout: Layout, usual_length: usize) -> Self {
         Self {
             name: Cow::Owned(name.to_owned()),
@@ -95,7 +95,7 @@ impl ItemType {
         }
     }
 
-    /// What a topic with such items carries: the word in the pipeline file, in JSON and in errors.
+    /// Name of the item type in the pipeline file, in JSON and in errors.
     pub fn name(&self) -> &str {
         &self.name
     }
@@ -105,37 +105,37 @@ impl ItemType {
         &self.type_name
     }
 
-    /// Bytes of an item.
+    /// Size of an item in bytes.
     pub fn size(&self) -> usize {
         self.size
     }
 
-    /// What the place of an item in memory is a multiple of.
+    /// Alignment of an item in bytes.
     pub fn align(&self) -> usize {
         self.align
     }
 
-    /// Items of a message, which few exceed.
+    /// Usual maximum number of items of a message; few have more.
     pub fn usual_length(&self) -> usize {
         self.usual_length
     }
 
-    /// Whether a message is an image: as many items as the header's camera has pixels.
+    /// Whether a message is an image, with one item per pixel of the header's camera.
     pub fn is_image(&self) -> bool {
         self.is_image
     }
 
-    /// Whether a run tells how many of its items there were, and that there was none.
+    /// Whether a run counts and reports the items, even when there are none.
     pub fn is_counted(&self) -> bool {
         self.is_counted
     }
 
-    /// Whether these are the items `T`.
+    /// Whether this is the type `T`, by its name.
     pub(crate) fn is<T: Item>(&self) -> bool {
         self.type_name == T::TYPE_NAME
     }
 
-    /// The fields, where the pipeline file tells them.
+    /// The fields, for a type that the pipeline file describes.
     pub fn described_layout(&self) -> Option<&Layout> {
         match &self.form {
             Form::Known(..) => None,
@@ -143,17 +143,19 @@ impl ItemType {
         }
     }
 
-    /// Whether messages are mostly short lists, not worth compressing: most cross a network where some packets are lost.
+    /// Whether messages are mostly short lists, not worth compressing; most of them get through a network that loses some
+    /// packets.
     pub fn is_short(&self) -> bool {
         !self.is_image && self.size * self.usual_length <= SHORT_LIST
     }
 
-    /// Whether this is the row of a type that every program knows.
+    /// Whether this is one of the [`BUILT_IN`] types, by its type name.
     pub fn is_built_in(&self) -> bool {
         BUILT_IN.iter().any(|row| row.type_name == self.type_name)
     }
 
-    /// The layout in words, for two machines to compare: the type's name, and the fields where the pipeline file tells them.
+    /// The layout as text, for two machines to compare: the type's name, and the fields of a type that the pipeline file
+    /// describes.
     pub fn layout(&self) -> String {
         match &self.form {
             Form::Known(..) => self.type_name.clone().into_owned(),
@@ -161,15 +163,15 @@ impl ItemType {
         }
     }
 
-    /// Whether two processes that have these types can exchange items.
+    /// Whether two processes with these types can exchange items.
     pub fn fits(&self, other: &Self) -> bool {
         (&self.type_name, self.size, self.align) == (&other.type_name, other.size, other.align)
     }
 
-    /// Whether a message from another process makes sense; of the end of a stream there is nothing to check but the header.
+    /// Checks a message from another process. Of the end of a stream only the header is checked.
     ///
     /// # Errors
-    /// What is wrong with the header, or with the first faulty item.
+    /// Describes the fault of the header, or of the first faulty item.
     pub fn check(&self, header: &Header, bytes: &[u8]) -> Result<(), Malformed> {
         header.check(&self.name)?;
         if header.ends_stream() {
@@ -201,7 +203,7 @@ impl Display for ItemType {
 fn check<T: Item>(header: &Header, bytes: &[u8]) -> Result<(), Malformed> {
     match try_cast_slice(bytes) {
         Ok(items) => T::check(header, items),
-        // What came over a network may lie anywhere.
+        // Bytes from a network may be unaligned.
         Err(_) if bytes.len().is_multiple_of(size_of::<T>()) => {
             let mut items = vec![T::zeroed(); bytes.len() / size_of::<T>()];
             cast_slice_mut(&mut items).copy_from_slice(bytes);
@@ -225,30 +227,30 @@ fn json<T: ToJson>(message: &AnyMessage<'_>, latency_ms: Option<f64>, line: &mut
     serde_json::to_writer(line, &Line { header: message.header, latency_ms, kind: T::NAME, content })
 }
 
-/// A message with items of a type that is known only when the program runs.
+/// A message whose item type is known only at run time.
 #[derive(Clone, Copy, Debug)]
 pub struct AnyMessage<'a> {
     /// Frame, camera and times.
     pub header: &'a Header,
-    /// What its items are.
+    /// Type of its items.
     pub item: &'a ItemType,
-    /// The items.
+    /// Its items, as bytes.
     pub bytes: &'a [u8],
 }
 
 impl<'a> AnyMessage<'a> {
-    /// The items as those of a type that this program has; `None` if they are of another.
+    /// The items as `T`, or as bytes for [`AnyByte`]; `None` if they are of another type.
     pub fn items<T: Item>(&self) -> Option<&'a [T]> {
         let same = self.item.fits(const { &ItemType::of::<T>() }) || T::TYPE_NAME == AnyByte::TYPE_NAME;
         if same { try_cast_slice(self.bytes).ok() } else { None }
     }
 
-    /// The message with items of a type that this program has; `None` if they are of another.
+    /// The message with items of type `T`; `None` if they are of another type.
     pub fn typed<T: Item>(&self) -> Option<Message<'a, T>> {
         Some(Message { header: self.header, items: self.items()? })
     }
 
-    /// Tells what each of its items is called when they are counted.
+    /// Calls `tell` with the label under which each item is counted.
     pub(crate) fn each_label(&self, mut tell: impl FnMut(&'static str)) {
         if let Form::Known(_, labels, _) = &self.item.form
             && self.item.is_counted
@@ -257,10 +259,10 @@ impl<'a> AnyMessage<'a> {
         }
     }
 
-    /// Appends the message as JSON, of an image a summary.
+    /// Appends the message as JSON; of an image, a summary.
     ///
     /// # Errors
-    /// It cannot be expressed, or this program has the type but cannot show it.
+    /// It cannot be expressed, or it has a Rust type that cannot be shown.
     pub fn write_json(&self, latency_ms: Option<f64>, line: &mut Vec<u8>) -> serde_json::Result<()> {
         match &self.item.form {
             Form::Known(_, _, Some(json)) => json(self, latency_ms, line),
@@ -276,7 +278,7 @@ impl<'a> AnyMessage<'a> {
     }
 }
 
-/// An item type in a plan: a row by its name, another as the pipeline file describes it.
+/// Serialised form of an item type in a plan: the name for a built-in one, else also the description of the pipeline file.
 #[derive(Serialize, Deserialize)]
 struct Told {
     name: String,
@@ -305,7 +307,7 @@ impl From<ItemType> for Told {
     }
 }
 
-/// Why a plan's item type is none.
+/// Reason why an item type of a plan cannot be used.
 #[derive(Debug, thiserror::Error)]
 enum ToldFault {
     #[error("no item type is called `{0}`")]

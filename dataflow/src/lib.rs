@@ -1,10 +1,9 @@
-//! Stages as separate processes, joined by shared memory and described by a pipeline file.
+//! Stages as separate processes, connected by shared memory and described by a pipeline file.
 //!
-//! In the order in which one meets them: a stage is written against [`Stage`] or [`Source`]; the pipeline file names it by
-//! the row that [`Node`] makes of it ([`pipeline`]); the [`Plan`] settles what each process has to know; [`run`] starts
-//! them; each runs its loop over [`ports`], which lead through shared memory; and [`Status`] records tell how it goes.
-//! What carries topics to other machines is no part of this: a program hands it in as a [`Network`], beside its nodes, in its
-//! [`Registry`].
+//! In the order of their use: a stage implements [`Stage`] or [`Source`]; the pipeline file names it by the row that [`Node`]
+//! makes of it ([`pipeline`]); the [`Plan`] resolves all that each process has to know; [`run`] starts the processes; each runs
+//! its loop over [`ports`], which use shared memory; and [`Status`] records show its progress. Transport between machines is not
+//! part of this package: a program provides it as a [`Network`], beside its nodes, in its [`Registry`].
 
 mod clock;
 mod doctor;
@@ -34,12 +33,12 @@ mod status;
 mod stop;
 mod table;
 
-/// Runs a single stage or source as it runs in a pipeline, with nothing around it.
+/// Runs a single stage or source as in a pipeline, but alone.
 pub mod testing {
     pub use crate::runner::alone::{Owned, collect, pass, step};
 }
 
-/// What the network part of a program is built of: the ends of topics as a stage has them, and what it tells of itself.
+/// Building blocks of a program's network part: the ports of topics as a stage has them, and its report.
 pub mod relay {
     pub use crate::log::ThrottledWarning;
     pub use crate::network::link_report::{read_links, write_links};

@@ -1,4 +1,4 @@
-//! What the processes of a run log, and where: to standard error, as a level or a filter says.
+//! Logging of a run's processes to standard error, at a level or by a filter.
 
 use conicflow_messages::plain;
 use std::fmt::{self, Debug, Display};
@@ -12,26 +12,26 @@ use tracing_subscriber::layer::{Identity, SubscriberExt};
 use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{Layer, Registry};
 
-/// Environment variable: what is logged, as a level or a filter.
+/// Environment variable: level or filter of the log.
 pub const LOG: &str = "CONICFLOW_LOG";
-/// Environment variable: if it is there, and not empty, each line begins with the time, UTC.
+/// Environment variable: if set and not empty, each line begins with the time in UTC.
 const LOG_TIME: &str = "CONICFLOW_LOG_TIME";
-/// What is logged where nothing is said.
+/// Default level.
 pub const DEFAULT_LOG: &str = "info";
 
-/// What a line on a terminal begins with: the progress of the run may stand there.
+/// Clears the line of a terminal before a line is logged, as the run's progress may be shown there.
 pub const CLEAR_LINE: &str = "\r\x1b[K";
 
-/// A level (error, warn, info, debug or trace), or a filter such as `conicflow_dataflow=debug`.
+/// Checks the level (error, warn, info, debug or trace) or the filter, such as `conicflow_dataflow=debug`.
 ///
 /// # Errors
-/// It is neither: a single word has to be a level, as else it would count as the name of what alone is logged.
+/// It is neither. A single word has to be a level: `tracing` would take any other word as the only target to log.
 pub fn log_filter(text: &str) -> Result<String, String> {
     parts(text).try_for_each(|part| part.map(drop)).map(|()| text.to_owned())
 }
 
-/// The targets that a filter names, each with its level; all begin with "". `EnvFilter`, which knows spans and values as well,
-/// would bring a library of regular expressions that takes as long to build as the detection.
+/// Parses a filter into targets and their levels; a level alone has the target "", which matches all. `EnvFilter`, which also
+/// knows spans and values, would bring a library of regular expressions that takes as long to build as the detection.
 fn parts(filter: &str) -> impl Iterator<Item = Result<(&str, LevelFilter), String>> {
     filter.split(',').map(str::trim).filter(|part| !part.is_empty()).map(|part| {
         let (target, word) = part.split_once('=').unwrap_or(("", part));
@@ -41,20 +41,20 @@ fn parts(filter: &str) -> impl Iterator<Item = Result<(&str, LevelFilter), Strin
     })
 }
 
-/// From now on this process logs what the filter lets through, unless it logs somewhere already.
+/// Makes this process log what the filter lets through, unless it has a logger already.
 pub fn log_to_standard_error(filter: &str) {
     log_beside(filter, Identity::new());
 }
 
-/// The same, beside something that hears what happens by a filter of its own.
+/// Logs as [`log_to_standard_error`] does, and adds a layer with a filter of its own.
 pub fn log_beside(filter: &str, ear: impl Layer<Registry> + Send + Sync) {
-    // A program from outside may have a filter that nobody has looked at.
+    // The filter of a program from outside may not have been checked before.
     let told = |error| writeln!(stderr(), "in the filter of the log, {error}").ok();
     let targets: Targets = parts(filter).filter_map(|part| part.map_err(told).ok()).collect();
     let is_terminal = stderr().is_terminal();
     let writer = move || Lines { place: stderr(), begin: if is_terminal { CLEAR_LINE } else { "" } };
     let layer = tracing_subscriber::fmt::layer().with_writer(writer).with_target(false);
-    // A log that nobody reads any more is no fault of the run.
+    // A closed log is not a fault of the run.
     let layer =
         layer.with_ansi(is_terminal).log_internal_errors(false).fmt_fields(debug_fn(write_field).delimited(" "));
     let is_timed = std::env::var_os(LOG_TIME).is_some_and(|said| !said.is_empty());
@@ -62,7 +62,7 @@ pub fn log_beside(filter: &str, ear: impl Layer<Registry> + Send + Sync) {
     tracing_subscriber::registry().with(ear).with(layer.with_filter(targets)).try_init().ok();
 }
 
-/// Writes what is logged, each time at the beginning of a line.
+/// Writes each log line at the beginning of a line of the terminal.
 struct Lines {
     place: Stderr,
     begin: &'static str,
@@ -70,7 +70,7 @@ struct Lines {
 
 impl Write for Lines {
     fn write(&mut self, text: &[u8]) -> io::Result<usize> {
-        // At once: other processes write to the same terminal.
+        // In one write, as other processes write to the same terminal.
         self.place.write_all(&[self.begin.as_bytes(), text].concat())?;
         Ok(text.len())
     }
@@ -80,21 +80,21 @@ impl Write for Lines {
     }
 }
 
-/// Writes what is logged as a terminal can show it.
+/// Writes a field without characters that a terminal would interpret.
 fn write_field(log: &mut Writer<'_>, field: &Field, value: &dyn Debug) -> fmt::Result {
     let text = plain(&format!("{value:?}"));
     if field.name() == "message" { log.write_str(&text) } else { write!(log, "{field}={text}") }
 }
 
-/// The text of an error as a terminal can show it.
+/// The text of an error without characters that a terminal would interpret.
 pub fn error_text(error: impl Display) -> String {
     plain(&format!("error: {error}"))
 }
 
-/// What comes as often as others like is told once in this time.
+/// Minimum interval between two warnings of the same kind.
 const SELDOM: Duration = Duration::from_secs(1);
 
-/// Warns of what may happen with each message, no more often than one can read.
+/// Limits the rate of a warning that may occur with each message.
 #[derive(Clone, Debug, Default)]
 pub struct ThrottledWarning {
     told: Option<Instant>,
@@ -102,7 +102,7 @@ pub struct ThrottledWarning {
 }
 
 impl ThrottledWarning {
-    /// Warns of it now, or counts it for the next time.
+    /// Logs the warning, or counts it for the next one where the last was less than a second ago.
     pub fn warn(&mut self, what: impl Display) {
         if self.told.is_some_and(|told| told.elapsed() < SELDOM) {
             self.untold += 1;
@@ -125,11 +125,11 @@ pub(crate) mod tests {
     use tracing::subscriber::NoSubscriber;
     use tracing::{Dispatch, Level};
 
-    /// A second one. Where there is one alone, tracing asks at the first event of a place that of the thread which comes there
-    /// first, and thereafter leaves the place out for all threads.
+    /// A second dispatcher. With only one, `tracing` asks the current thread's dispatcher when a call site is first reached, and
+    /// then disables the site for all threads.
     static SECOND: LazyLock<Dispatch> = LazyLock::new(|| Dispatch::new(NoSubscriber::new()));
 
-    /// What is logged, down to this level, by what is done meanwhile in this thread.
+    /// Runs `act` and returns what this thread logs meanwhile at this level or above.
     pub(crate) fn logged(least: Level, act: impl FnOnce()) -> String {
         LazyLock::force(&SECOND);
         let (mut log, mut text) = (tempfile::tempfile().unwrap(), String::new());

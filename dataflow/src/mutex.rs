@@ -1,9 +1,9 @@
-//! Mutexes whose threads may panic.
+//! Mutexes that ignore poisoning.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Locks a mutex, also where a thread panicked that held it: that thread's error is reported where it is joined, and what the
-/// others share is used as it was left.
+/// Locks a mutex, even if a thread has panicked while holding it: that error is reported where the thread is joined, and the
+/// shared data is used as it was left.
 pub fn lock<T: ?Sized>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

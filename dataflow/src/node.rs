@@ -1,4 +1,4 @@
-//! The table of nodes: what the pipeline file may name, and how each is checked and run.
+//! The table of nodes: those that a pipeline file may name, and the functions that check and run them.
 
 use crate::file_use::FileUse;
 use crate::pipeline::schema_of;
@@ -13,14 +13,14 @@ use conicflow_messages::{AnyByte, ConfigFault, Hinted, Item, Nothing};
 use serde_json::Value as Json;
 use std::path::Path;
 
-/// One row of the table: a node that stages of a pipeline file can be.
+/// One row of the table: a node that a stage of a pipeline file can run.
 #[derive(Clone, Copy)]
 pub struct Node {
     /// Its name in the pipeline file.
     pub name: &'static str,
-    /// What it does, in one sentence.
+    /// Summary in one sentence.
     pub summary: &'static str,
-    /// What it can be driven by and makes of it; the first is what its documentation shows.
+    /// Its kinds of input, each with its output; the documentation shows the first one.
     pub variants: &'static [Variant],
     pub(crate) side_inputs: fn() -> &'static [SideInput],
     pub(crate) schema: fn() -> Json,
@@ -36,9 +36,9 @@ pub struct Node {
 /// The program that runs a node in place of the one that has it in its table.
 #[derive(Clone, Copy)]
 pub struct Host {
-    /// Its command with its arguments, by the parameters of the stage and the folder of the pipeline file.
+    /// Returns its command and arguments, for the parameters of the stage and the folder of the pipeline file.
     pub command: fn(&Json, &Path) -> Result<Vec<String>, Hinted>,
-    /// What keeps it from running the stage here, with these variables in its environment.
+    /// Finds a reason why it cannot run the stage on this machine, with these environment variables.
     pub check: fn(&Json, &Path, &Variables) -> Result<(), Hinted>,
 }
 
@@ -48,15 +48,15 @@ pub type Variables = [(String, String)];
 /// A node for one kind of input.
 #[derive(Clone, Copy)]
 pub struct Variant {
-    /// What drives it, by [`Item::NAME`]; [`Nothing`] for a source.
+    /// Kind of its driving input, by [`Item::NAME`]; [`Nothing`] for a source.
     pub input: &'static str,
-    /// What it makes; [`Nothing`] for a sink.
+    /// Kind of its output; [`Nothing`] for a sink.
     pub output: &'static str,
     pub(crate) run: fn(Json, StageRuntime<SharedMemory>) -> Result<(), RunError>,
 }
 
 impl Node {
-    /// The row of a source.
+    /// Row of a source.
     pub const fn source<S: Source>() -> Self {
         Self {
             name: S::NAME,
@@ -73,12 +73,12 @@ impl Node {
         }
     }
 
-    /// The row of a stage or sink that takes one kind of input.
+    /// Row of a stage or sink that takes one kind of input.
     pub const fn stage<S: Stage>() -> Self {
         Self::stages::<S>(const { &[Variant::stage::<S>()] })
     }
 
-    /// The row of a stage or sink that takes several kinds of input, one variant for each; `S` is the first of them.
+    /// Row of a stage or sink that takes several kinds of input, one variant for each; `S` is the first of them.
     pub const fn stages<S: Stage>(variants: &'static [Variant]) -> Self {
         Self {
             name: S::NAME,
@@ -95,29 +95,29 @@ impl Node {
         }
     }
 
-    /// The row of a node that another program runs, which takes the place of this one in the stage's process. That joins the run
-    /// as any program does, or has the row too and calls `run_in_run`; its parameters come with all defaults settled.
+    /// Sets another program as the host of the node; it replaces this program in the stage's process. The host joins the run as
+    /// any program does, or has the row too and calls `run_in_run`. It gets the parameters with all defaults filled in.
     #[must_use]
     pub const fn run_by(self, host: Host) -> Self {
         Self { host: Some(host), ..self }
     }
 
-    /// What may drive it.
+    /// Kinds of its driving input.
     pub fn inputs(&self) -> impl Iterator<Item = &'static str> {
         self.variants.iter().map(|variant| variant.input).filter(|kind| *kind != Nothing::NAME)
     }
 
-    /// What it makes, the same whatever drives it.
+    /// Kind of its output, the same for all variants.
     pub fn output(&self) -> &'static str {
         self.variants.first().map_or(Nothing::NAME, |variant| variant.output)
     }
 
-    /// Whether it writes items of whatever type its readers take: the source is a recording of them.
+    /// Whether it writes items of any type, as its readers need: a source that plays a recording.
     pub fn writes_any(&self) -> bool {
         self.output() == AnyByte::NAME
     }
 
-    /// Whether nothing drives it.
+    /// Whether it has no driving input.
     pub fn is_source(&self) -> bool {
         self.inputs().next().is_none()
     }
@@ -138,7 +138,7 @@ impl Variant {
         Self { input: Nothing::NAME, output: S::Output::NAME, run: start_source::<S> }
     }
 
-    /// A stage for its kind of input.
+    /// Variant of a stage for its kind of input.
     pub const fn stage<S: Stage>() -> Self {
         Self { input: S::Input::NAME, output: S::Output::NAME, run: start_stage::<S> }
     }
@@ -148,7 +148,7 @@ fn settle<C: Config>(parameters: Json) -> Result<Json, serde_json::Error> {
     serde_json::to_value(serde_json::from_value::<C>(parameters)?)
 }
 
-/// Files of a stage; of one whose parameters cannot be used there are none.
+/// The files of a stage; empty if its parameters are invalid.
 fn files<C: Config>(parameters: Json, base: &Path, of: fn(&C, &Path) -> Vec<FileUse>) -> Vec<FileUse> {
     serde_json::from_value(parameters).map(|config| of(&config, base)).unwrap_or_default()
 }
@@ -165,12 +165,12 @@ fn start_stage<S: Stage>(parameters: Json, runtime: StageRuntime<SharedMemory>) 
     run_new_stage(&NewStage::of::<S>(parameters)?, runtime)
 }
 
-/// Not for each type of source, so that the loop is built here, once for all.
+/// Not generic in the source, so that the loop is compiled only once, in this package.
 fn run_new_source(source: &NewSource<'_>, runtime: StageRuntime<SharedMemory>) -> Result<(), RunError> {
     run_source(source, runtime)
 }
 
-/// The same for stages.
+/// Not generic in the stage, for the same reason.
 fn run_new_stage(stage: &NewStage<'_>, runtime: StageRuntime<SharedMemory>) -> Result<(), RunError> {
     run_stage(stage, runtime)
 }

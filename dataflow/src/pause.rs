@@ -1,8 +1,7 @@
-//! Pauses the sources of a run: a file in the run's folder says whether they are to stand still. Whoever may enter that folder
-//! can change it, and each source reads it before each message.
+//! Pauses the sources of a run by a file in the run's folder. Any process that may enter that folder can change the file, and
+//! each source reads it before each message.
 //!
-//! What plays back or simulates can stand still; a camera goes on. Nothing else of a run is paused: what is under way is worked
-//! on.
+//! A recording or a simulation can be paused; a camera cannot. Other stages go on, and process the messages in flight.
 
 use bytemuck::{Pod, Zeroable};
 use serde::Serialize;
@@ -11,19 +10,19 @@ use std::io;
 use std::os::unix::fs::FileExt;
 use std::path::Path;
 
-/// The file in the folder of a run.
+/// Name of the file in the folder of a run.
 pub(crate) const PAUSE_FILE: &str = "run.pause";
 
-/// What is asked of the sources of a run.
+/// Request to the sources of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PauseRequest {
-    /// They stand still.
+    /// Pause.
     Pause,
-    /// They go on.
+    /// Resume.
     Resume,
-    /// They do the other of both.
+    /// Pause if running, else resume.
     Toggle,
-    /// Each makes one message more, and stands still.
+    /// Make one more message each, then pause.
     Step,
 }
 
@@ -32,25 +31,25 @@ pub enum PauseRequest {
 pub struct Sources {
     /// Those that can be paused.
     pub can_pause: Vec<String>,
-    /// Those that go on, such as cameras.
+    /// Live ones, which cannot be paused, such as cameras.
     pub live: Vec<String>,
-    /// Whether the first are to stand still.
+    /// Whether those that can be paused are paused.
     pub paused: bool,
 }
 
-/// What stands in the file.
+/// Content of the file.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
 struct Word {
-    /// The run that it is meant for.
+    /// The run that it applies to.
     run: u64,
-    /// Not 0 while its sources are to stand still.
+    /// Not 0 while the sources are paused.
     is_paused: u64,
-    /// How many messages each of them may have made although it stood still.
+    /// Total number of messages that each source may make while it is paused.
     steps: u64,
 }
 
-/// The file with the word of one run.
+/// The pause file of one run.
 #[derive(Debug)]
 pub(crate) struct PauseFile {
     file: File,
@@ -58,29 +57,29 @@ pub(crate) struct PauseFile {
 }
 
 impl PauseFile {
-    /// Writes the word of a run that begins: it is not paused.
+    /// Creates the file at the start of a run, not paused.
     pub(crate) fn create(path: &Path, run: u64) -> io::Result<()> {
         std::fs::write(path, bytemuck::bytes_of(&Word { run, ..Word::default() }))
     }
 
-    /// The file of a run that was begun.
+    /// Opens the file of a run that has begun.
     pub(crate) fn open(path: &Path, run: u64) -> io::Result<Self> {
         Ok(Self { file: OpenOptions::new().read(true).write(true).open(path)?, run })
     }
 
-    /// The word, if it is of this run.
+    /// Reads the file; `None` if it belongs to another run.
     fn read(&self) -> Option<Word> {
         let mut word = Word::default();
         self.file.read_exact_at(bytemuck::bytes_of_mut(&mut word), 0).ok()?;
         (word.run == self.run).then_some(word)
     }
 
-    /// Whether the sources of this run are to stand still.
+    /// Whether the sources of this run are to pause.
     pub(crate) fn is_paused(&self) -> bool {
         self.read().is_some_and(|word| word.is_paused != 0)
     }
 
-    /// Changes the word as is asked. Two who ask at the same time are heard one after the other.
+    /// Changes the file as requested. A lock serialises concurrent requests.
     pub(crate) fn change(&self, request: PauseRequest) -> io::Result<()> {
         self.file.lock()?;
         let word = self.read().unwrap_or(Word { run: self.run, ..Word::default() });
@@ -97,34 +96,34 @@ impl PauseFile {
     }
 }
 
-/// What a source is to do now.
+/// Next action of a source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Turn {
     /// Go on at its pace.
     Go,
-    /// Make one message, and ask again.
+    /// Make one message, and check again.
     Step,
-    /// Stand still.
+    /// Stay paused.
     Stand,
 }
 
-/// The word of a run as one of its sources obeys it.
+/// Pause state of one source.
 #[derive(Debug, Default)]
 pub(crate) struct Pause {
-    /// None where nobody can pause it.
+    /// `None` where it cannot be paused.
     file: Option<PauseFile>,
-    /// The steps that it has made, or that were wished before it stood still.
+    /// Number of steps that it has made, or that were requested before it was paused.
     steps: u64,
 }
 
 impl Pause {
-    /// A source that obeys this file.
+    /// Pause state of a source that follows this file.
     pub(crate) fn obey(file: Option<PauseFile>) -> Self {
         let steps = file.as_ref().and_then(PauseFile::read).map_or(0, |word| word.steps);
         Self { file, steps }
     }
 
-    /// What is to be done now.
+    /// Next action of the source.
     pub(crate) fn turn(&mut self) -> Turn {
         match self.file.as_ref().and_then(PauseFile::read) {
             Some(word) if word.is_paused != 0 && word.steps > self.steps => {

@@ -1,6 +1,6 @@
-//! The plan of a run: what each process has to know of the pipeline, with every default settled and every name resolved.
+//! The plan of a run: all that each process has to know of the pipeline, with every default filled in and every name resolved.
 //!
-//! The launcher writes it once; all stages of a run read the same plan, whatever becomes of the pipeline file meanwhile.
+//! The launcher writes it once; all stages of a run read the same plan, even if the pipeline file changes meanwhile.
 
 use crate::file_use::FileUse;
 use crate::network::BridgePlan;
@@ -15,36 +15,37 @@ use serde_json::Value as Json;
 use std::collections::HashSet;
 use std::path::PathBuf;
 
-/// Raised with each change of what launcher and stages agree on: the plan, records, names in shared memory.
+/// Version of all that launcher and stages share: the plan, records, names in shared memory. Raised with each change of these.
 pub(crate) const LAYOUT: u32 = 6;
 
 /// The plan of a run on one machine.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Plan {
-    /// What the program that made it was built with.
+    /// [`LAYOUT`] of the program that made it.
     pub(crate) layout: u32,
     /// Name of the pipeline.
     pub pipeline: String,
     /// Folder against which paths in parameters are resolved.
     pub base: PathBuf,
-    /// A number that no other run has.
+    /// Unique number of the run.
     pub run: u64,
     /// The stages, in the order of the file.
     pub stages: Vec<PlannedStage>,
-    /// What it was made of.
+    /// Its origin.
     pub origin: Origin,
 }
 
-/// What a plan was made of, so that one stage can be changed while the others run, and checked like the file was.
+/// Pipeline file, overrides and options that a plan was made from, so that one stage can be changed and checked while the others
+/// run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Origin {
-    /// The pipeline file.
+    /// Text and name of the file.
     pub source: SourceText,
-    /// What was set beside it, as `STAGE.KEY=VALUE`.
+    /// The overrides, as `STAGE.KEY=VALUE`.
     pub overrides: Vec<String>,
-    /// The machine whose stages are in the plan; all where there is one.
+    /// The machine whose stages are in the plan; `None`: all stages.
     pub machine: Option<String>,
-    /// Sources end after so many messages.
+    /// Number of messages after which sources end.
     pub frames: Option<u64>,
 }
 
@@ -53,19 +54,19 @@ pub struct Origin {
 pub struct PlannedStage {
     /// Its name.
     pub name: String,
-    /// What runs.
+    /// What it runs.
     pub runs: Runs,
     /// Parameters of its node.
     pub parameters: Json,
-    /// How it is joined to the others.
+    /// Topics that connect it to the others.
     pub wiring: Wiring,
-    /// What happens when it dies.
+    /// When it is restarted.
     pub restart: Restart,
-    /// Without a sign of life for so long, in seconds, it counts as dead; `None`: it is reported.
+    /// Time without a heartbeat, in seconds, after which it is killed; `None`: it is only reported.
     pub hang_s: Option<f64>,
-    /// So many seconds after its start it has to take part in a lossless topic; `None`: the usual time.
+    /// Time after its start within which it has to join a lossless topic, in seconds; `None`: the default.
     pub join_s: Option<f64>,
-    /// Environment variables for it.
+    /// Its environment variables.
     pub env: Vec<(String, String)>,
 }
 
@@ -73,11 +74,11 @@ pub struct PlannedStage {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Runs {
-    /// The variant of a built-in node that takes the kind of message called `input`.
+    /// The variant of a built-in node that is driven by messages of the kind `input`.
     Node {
         /// Name of the node.
         node: String,
-        /// What drives it, by [`Item::NAME`].
+        /// Kind of its driving input, by [`Item::NAME`].
         input: String,
     },
     /// A program with its arguments.
@@ -104,8 +105,7 @@ impl Runs {
 }
 
 impl Plan {
-    /// The plan of those stages of a pipeline that run on `machine`; of all where no machine is named. Sources end after
-    /// `frames` messages.
+    /// Plan of the stages of a pipeline that run on `machine`, or of all stages without one. Sources end after `frames` messages.
     pub fn of(pipeline: &Pipeline, machine: Option<&str>, frames: Option<u64>, run: u64) -> Self {
         let here = |stage: &&StageSpec| machine.is_none() || stage.machine.as_deref() == machine;
         let stages = pipeline.stages.iter().filter(here);
@@ -116,10 +116,10 @@ impl Plan {
         Self { layout: LAYOUT, pipeline: pipeline.name.clone(), base: pipeline.base.clone(), run, stages, origin }
     }
 
-    /// The plan of the same run with further things set, as `STAGE.KEY=VALUE`; the report holds warnings.
+    /// Plan of the same run with further overrides, as `STAGE.KEY=VALUE`; the report holds warnings.
     ///
     /// # Errors
-    /// All that is wrong with it then, at once.
+    /// All faults of the changed pipeline, at once.
     pub fn with(&self, further: &[String], registry: &Registry) -> Result<(Self, Report), Report> {
         let Origin { source, overrides, machine, frames } = &self.origin;
         let overrides = [overrides.as_slice(), further].concat();
@@ -128,8 +128,8 @@ impl Plan {
         Ok((Self::of(&pipeline, machine.as_deref(), *frames, self.run), warnings))
     }
 
-    /// What is wrong with running this plan beside that of another pipeline: a file that both write. The nodes of both stand in
-    /// the table `nodes`.
+    /// Finds a file that both this plan and the plan of another pipeline would write, and returns it as an error. `nodes` has the
+    /// nodes of both.
     pub fn over_what_is_written_by(&self, other: &Self, nodes: &[Node]) -> Option<Hinted> {
         let others: Vec<_> = other.files_written(nodes).collect();
         self.files_written(nodes).find_map(|(writer, files)| {
@@ -138,8 +138,8 @@ impl Plan {
         })
     }
 
-    /// What is wrong with the files that a stage would begin to write if it took over from that of this plan; the nodes of both
-    /// stand in the table `nodes`.
+    /// Finds a fault of the files that a stage would start to write if it replaced that of this plan. `nodes` has the nodes of
+    /// both.
     pub fn over_what_is_there(&self, successor: &PlannedStage, nodes: &[Node]) -> Option<Hinted> {
         let of = |stage| self.files_of(stage, nodes).map(|(_, files)| files);
         let before: Vec<_> = self.stage(&successor.name).into_iter().flat_map(of).collect();
@@ -150,7 +150,7 @@ impl Plan {
         self.stages.iter().flat_map(|stage| self.files_of(stage, nodes))
     }
 
-    /// The files that a stage writes, and what names them, in words.
+    /// The files that a stage writes, each with a text that names the parameter and the stage.
     fn files_of(&self, stage: &PlannedStage, nodes: &[Node]) -> impl Iterator<Item = (String, FileUse)> + use<> {
         let node = nodes.iter().find(|node| matches!(&stage.runs, Runs::Node { node: name, .. } if *name == node.name));
         let files = node.map(|node| (node.writes)(stage.parameters.clone(), &self.base)).unwrap_or_default();
@@ -158,7 +158,7 @@ impl Plan {
         files.into_iter().map(move |files| (format!("`{}` of stage `{name}`", files.key), files))
     }
 
-    /// The stages that run something else, or are joined otherwise, in another plan.
+    /// The stages that differ in another plan.
     pub fn stages_unlike<'a>(&'a self, other: &'a Self) -> impl Iterator<Item = &'a PlannedStage> {
         self.stages.iter().filter(|stage| other.stage(&stage.name) != Some(stage))
     }
@@ -170,7 +170,7 @@ impl Plan {
         joined.filter(move |topic| names.insert(&topic.name))
     }
 
-    /// What keeps the topics of this run apart from those of others, whatever those have left behind.
+    /// Namespace of the topics of this run, which separates them from those of other runs and their leftovers.
     pub(crate) fn namespace(&self) -> String {
         format!("{}/{:x}", self.pipeline, self.run)
     }
@@ -195,7 +195,7 @@ impl PlannedStage {
         };
         let parameters = stage.parameters.clone();
         let parameters = match &stage.program {
-            // Another program may not know the defaults.
+            // A node's host program may not know the defaults.
             Program::Node(node) if node.host.is_some() => (node.settle)(parameters.clone()).unwrap_or(parameters),
             _ => parameters,
         };
@@ -227,12 +227,12 @@ impl PlannedStage {
         matches!(self.runs, Runs::Bridge(_))
     }
 
-    /// Whether nothing drives it.
+    /// Whether it has no driving input.
     pub fn is_source(&self) -> bool {
         self.wiring.input.is_none()
     }
 
-    /// Whether what it takes leaves this machine's stages.
+    /// Whether its input leaves this machine's stages: a sink, or a bridge that sends to other machines.
     pub fn is_sink(&self) -> bool {
         match &self.runs {
             Runs::Bridge(plan) => !plan.outgoing.is_empty(),

@@ -1,4 +1,4 @@
-//! What a program has built in, that the pipeline files which it runs may use.
+//! Nodes and network part of a program, which its pipeline files may use.
 
 use crate::network::Network;
 use crate::node::Node;
@@ -8,6 +8,6 @@ use crate::node::Node;
 pub struct Registry {
     /// The nodes that a pipeline file may name.
     pub nodes: &'static [Node],
-    /// What carries edges between machines; without it all stages of a pipeline run on one.
+    /// Transport between machines; without it all stages of a pipeline run on one machine.
     pub network: Option<Network>,
 }

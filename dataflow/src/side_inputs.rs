@@ -1,4 +1,4 @@
-//! Side inputs of a stage: read when a message of the driving input is there, without waking the stage themselves.
+//! Side inputs of a stage: read when the driving input has a message; they do not wake the stage themselves.
 
 use crate::item_type::{AnyMessage, ItemType};
 use bytemuck::cast_slice;
@@ -9,9 +9,9 @@ use conicflow_messages::{Item, Message};
 pub struct SideInput {
     /// Its name in `inputs = { name = "topic" }`.
     pub name: &'static str,
-    /// What it carries: [`Item::NAME`].
+    /// Kind of its messages: [`Item::NAME`].
     pub kind: &'static str,
-    /// Which of its messages is wanted.
+    /// Which of its messages is read.
     pub pairing: Pairing,
     pub(crate) item: fn() -> ItemType,
 }
@@ -22,27 +22,27 @@ impl SideInput {
         Self { name, kind: T::NAME, pairing: Pairing::Latest, item: ItemType::of::<T> }
     }
 
-    /// An input of which that message is read which was made from the same frame as the driving one.
+    /// An input of which the message from the same frame as the driving one is read.
     pub const fn same_frame<T: Item>(name: &'static str) -> Self {
         Self { name, kind: T::NAME, pairing: Pairing::SameFrame, item: ItemType::of::<T> }
     }
 }
 
-/// Which message of a side input goes with a message of the driving one.
+/// Which message of a side input belongs to a message of the driving one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pairing {
-    /// The newest there is.
+    /// The newest one.
     Latest,
-    /// The one made from the same frame.
+    /// The one from the same frame.
     SameFrame,
 }
 
-/// The messages of the side inputs that go with one step; each may be missing.
+/// The messages of the side inputs that belong to one step; each may be missing.
 #[derive(Clone, Debug, Default)]
 pub struct SideInputs<'a>(pub(crate) Vec<(&'a str, AnyMessage<'a>)>);
 
 impl<'a> SideInputs<'a> {
-    /// The same with a message of the input `name`.
+    /// Adds a message of the input `name`.
     #[must_use]
     pub fn with<T: Item>(mut self, name: &'a str, message: Message<'a, T>) -> Self {
         let (header, bytes) = (message.header, cast_slice(message.items));
@@ -50,7 +50,7 @@ impl<'a> SideInputs<'a> {
         self
     }
 
-    /// The message of the input `name`, which carries items of this type.
+    /// The message of the input `name`, if it has items of this type.
     pub fn get<T: Item>(&self, name: &str) -> Option<Message<'a, T>> {
         let (_, message) = self.0.iter().find(|(side, _)| *side == name)?;
         message.typed()

@@ -1,8 +1,8 @@
-//! The contract between a stage and what runs it: one trait for what begins a pipeline, and one for all that follows.
+//! The contract between a stage and its runner: one trait for sources, and one for all further stages.
 //!
 //! A [`Source`] makes messages, a [`Stage`] turns one message into another, and a sink is a [`Stage`] whose output is
-//! [`Nothing`](conicflow_messages::Nothing). None of them knows who is up- or downstream, on which machine, or whether it
-//! is a test.
+//! [`Nothing`](conicflow_messages::Nothing). None of them knows its neighbours, the machines they run on, or whether it runs in a
+//! test.
 
 use crate::file_use::FileUse;
 use crate::item_type::ItemType;
@@ -17,79 +17,80 @@ use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Why a stage could not start or go on; its text says what, where and, after `hint:`, what to do.
+/// Error of a stage that could not start or go on; its text says what, where and, after `hint:`, what to do.
 pub type StageError = Box<dyn std::error::Error + Send + Sync>;
 
-/// The parameters of a node, as they stand in the pipeline file.
+/// The parameters of a node, as the pipeline file gives them.
 ///
-/// Types, defaults, ranges and descriptions come from one place, the struct itself: its field types, its `Default`, its
-/// `#[schemars(range(..))]` attributes and its doc comments. Derive `Deserialize` with
-/// `#[serde(default, deny_unknown_fields)]`. What types and ranges cannot tell is told by [`Stage::faults`].
+/// Types, defaults, ranges and descriptions have one source, the struct itself: its field types, its `Default`, its
+/// `#[schemars(range(..))]` attributes and its doc comments. Derive `Deserialize` with `#[serde(default, deny_unknown_fields)]`.
+/// [`Stage::faults`] checks what types and ranges cannot express.
 pub trait Config: DeserializeOwned + Serialize + JsonSchema + Default {}
 
 impl<T: DeserializeOwned + Serialize + JsonSchema + Default> Config for T {}
 
-/// A node without parameters.
+/// Parameters of a node that has none.
 #[derive(Clone, Debug, Default, serde::Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct NoConfig {}
 
-/// What a stage is told when it starts.
+/// Information for a stage at its start.
 #[derive(Clone, Debug, Default)]
 pub struct Context {
     /// Name of the stage in the pipeline file.
     pub stage: String,
     /// Folder of the pipeline file; relative paths are resolved against it.
     pub base: PathBuf,
-    /// A number that no other run has; 0 where the stage was started by itself.
+    /// Unique number of the run; 0 for a stage that was started by itself.
     pub run: u64,
-    /// Number of messages that this stage sent or took before it was started anew in the same run; 0 at first.
+    /// Number of messages that this stage had sent or taken before its restart in the same run; 0 at first.
     pub resume_at: u64,
-    /// What drives it. A stage that takes lists of any type, as [`AnyByte`](conicflow_messages::AnyByte), learns it here.
+    /// Type of its input. A stage that takes items of any type, as [`AnyByte`](conicflow_messages::AnyByte), finds the actual one
+    /// here.
     pub input: Option<ItemType>,
-    /// Which of the messages that drive it it gets: with the newest it works live, with each no message may be lost. A source has
-    /// none.
+    /// Delivery of its input: [`Latest`](Delivery::Latest) for live work, [`Lossless`](Delivery::Lossless) where no message may
+    /// be lost. A source has none.
     pub delivery: Option<Delivery>,
-    /// What a source makes. One that makes lists of any type learns it here.
+    /// Type of a source's output. A source that makes items of any type finds the actual one here.
     pub output: Option<ItemType>,
-    /// What this stage had counted by then (see [`Output::count`]).
+    /// Counters of this stage before its restart (see [`Output::count`]).
     pub counted: BTreeMap<String, u64>,
-    /// Raised when the run is to end.
+    /// Set when the run is to end.
     pub stop: Stop,
 }
 
 impl Context {
-    /// A path from the pipeline file, relative to that file.
+    /// Resolves a path of the pipeline file, which is relative to that file.
     pub fn resolve(&self, path: &Path) -> PathBuf {
         self.base.join(path)
     }
 }
 
-/// The first stage of a pipeline: it has no input and makes messages of its own.
+/// First stage of a pipeline: it has no driving input and makes messages.
 pub trait Source: Sized {
     /// Name of the node in the pipeline file.
     const NAME: &'static str;
-    /// What it does, in one sentence.
+    /// Summary in one sentence.
     const SUMMARY: &'static str;
     /// Its parameters.
     type Config: Config;
-    /// What it makes.
+    /// Type of the items that it makes.
     type Output: Item;
 
-    /// Makes it ready.
+    /// Creates the source.
     ///
     /// # Errors
-    /// A parameter or a file that cannot be used; the stage is not started anew.
+    /// A parameter or a file cannot be used; the stage is not restarted.
     fn new(config: Self::Config, context: &Context) -> Result<Self, StageError>;
 
-    /// What is wrong with parameters that types and ranges let pass: files that are missing, values that exclude each other.
-    /// `base` is the folder of the pipeline file, against which relative paths are resolved.
+    /// Finds faults of parameters that types and ranges cannot express: missing files, values that exclude each other. `base` is
+    /// the folder of the pipeline file, against which relative paths are resolved.
     fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
         let _ = (config, base);
         Vec::new()
     }
 
-    /// The files that it reads, as far as they are known before it is made ready: nothing in the run may write over them.
+    /// The files that it reads, as far as they are known before it is created. No stage of the run may write over them.
     fn reads(config: &Self::Config, base: &Path) -> Vec<FileUse> {
         let _ = (config, base);
         Vec::new()
@@ -101,93 +102,94 @@ pub trait Source: Sized {
         Vec::new()
     }
 
-    /// Inputs whose latest value it reads.
+    /// Inputs of which it reads the latest value.
     fn side_inputs() -> &'static [SideInput] {
         &[]
     }
 
-    /// Number of items of a message (of an image its pixels), where that is known before it is made ready: the run does not
-    /// start where shared memory has no room for them. `base` is the folder of the pipeline file.
+    /// Number of items of a message (pixels of an image), where it is known before the source is created: a run does not start if
+    /// shared memory has no room for them. `base` is the folder of the pipeline file.
     fn message_length(config: &Self::Config, base: &Path) -> Option<usize> {
         let _ = (config, base);
         None
     }
 
-    /// Messages per second that it is to be kept to; 0: as fast as they are taken.
+    /// Maximum rate in messages per second; 0: as fast as they are taken.
     fn rate_hz(&self) -> f64 {
         0.0
     }
 
-    /// Whether its messages are to be sent as far apart as their stamps are, whatever [`Source::rate_hz`] says.
+    /// Whether to send its messages at the intervals of their stamps, whatever [`Source::rate_hz`] says.
     fn keeps_stamps(&self) -> bool {
         false
     }
 
-    /// Number of messages that it will make in all, where that is known.
+    /// Total number of messages that it will make, where known.
     fn total(&self) -> Option<u64> {
         None
     }
 
-    /// Whether it can stand still while its run is paused: a recording can, a camera cannot. Default: what has an end can.
+    /// Whether it can stand still while its run is paused: a recording can, a camera cannot. By default a source with a known
+    /// total can.
     fn can_pause(&self) -> bool {
         self.total().is_some()
     }
 
-    /// Makes the next message: fills `output.header` (camera, scale, noise, stamp, source) and writes the items. A
-    /// source that waits for a device looks at [`Context::stop`] meanwhile. Frames that have numbers of their own keep them by
-    /// `output.header.sequence`, as long as these rise; others are numbered from 0.
+    /// Makes the next message: fills `output.header` (camera, scale, noise, stamp, source) and writes the items. While it waits
+    /// for a device, the source has to query [`Context::stop`]. A source whose frames have their own numbers sets
+    /// `output.header.sequence`; these must rise. Other frames are numbered from 0.
     ///
     /// # Errors
-    /// A device or a file that failed; the stage is started anew, as the pipeline file says.
+    /// A device or a file failed; the stage is restarted as the pipeline file says.
     fn next(&mut self, side_inputs: &SideInputs, output: &mut Output<Self::Output>) -> Result<Next, StageError>;
 
-    /// Ends its work, after the last message, also where the run ends before it has no more.
+    /// Ends its work after the last message, also where the run ends before the source does.
     ///
     /// # Errors
-    /// What it was to send and could not; the stage is not started anew.
+    /// Pending data could not be sent; the stage is not restarted.
     fn finish(&mut self) -> Result<(), StageError> {
         Ok(())
     }
 }
 
-/// What a source has to offer.
+/// Result of asking a source for its next message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Next {
     /// A message was written.
     Message,
-    /// There is none yet; what was counted is kept, and the source is asked again at once.
+    /// There is none yet. Counts are kept, and the source is asked again at once.
     Later,
-    /// There is none, and there will be no more.
+    /// The source is exhausted.
     End,
 }
 
-/// A stage in the middle of a pipeline, or a sink at its end: driven by one input.
+/// A stage in the middle of a pipeline, or a sink at its end, driven by one input.
 pub trait Stage: Sized {
     /// Name of the node in the pipeline file.
     const NAME: &'static str;
-    /// What it does, in one sentence.
+    /// Summary in one sentence.
     const SUMMARY: &'static str;
     /// Its parameters.
     type Config: Config;
-    /// What drives it.
+    /// Type of the items that drive it.
     type Input: Item;
-    /// What it makes; [`Nothing`](conicflow_messages::Nothing) for a sink.
+    /// Type of the items that it makes; [`Nothing`](conicflow_messages::Nothing) for a sink.
     type Output: Item;
 
-    /// Makes it ready.
+    /// Creates the stage.
     ///
     /// # Errors
-    /// A parameter or a file that cannot be used; the stage is not started anew.
+    /// A parameter or a file cannot be used; the stage is not restarted.
     fn new(config: Self::Config, context: &Context) -> Result<Self, StageError>;
 
-    /// What is wrong with parameters that types and ranges let pass: files that are missing, values that exclude each other.
-    /// `base` is the folder of the pipeline file, against which relative paths are resolved.
+    /// Finds faults of parameters that types and ranges cannot express: missing files, values that exclude each other. `base` is
+    /// the folder of the pipeline file, against which relative paths are resolved.
     fn faults(config: &Self::Config, base: &Path) -> Vec<ConfigFault> {
         let _ = (config, base);
         Vec::new()
     }
 
-    /// The files that it reads, as far as they are known before it is made ready: nothing in the run may write over them.
+    /// The files that it reads, as far as they are known before it is created. No stage of the run may write over them.
     fn reads(config: &Self::Config, base: &Path) -> Vec<FileUse> {
         let _ = (config, base);
         Vec::new()
@@ -204,10 +206,10 @@ pub trait Stage: Sized {
         &[]
     }
 
-    /// Turns one message into one of its own. The output's header is the input's, to be changed where need be.
+    /// Turns one message into another. The output's header is a copy of the input's, which the stage may change.
     ///
     /// # Errors
-    /// What cannot be gone on from; "nothing found in this frame" is an empty list, not an error.
+    /// The stage cannot go on. "Nothing found in this frame" is an empty list, not an error.
     fn step(
         &mut self,
         input: &Message<Self::Input>,
@@ -215,19 +217,19 @@ pub trait Stage: Sized {
         output: &mut Output<Self::Output>,
     ) -> Result<(), StageError>;
 
-    /// Ends its work, after the last message: closes files, prints sums.
+    /// Ends its work after the last message: closes files, prints sums.
     ///
     /// # Errors
-    /// What could not be ended; the stage is not started anew.
+    /// Its work could not be ended; the stage is not restarted.
     fn finish(&mut self) -> Result<(), StageError> {
         Ok(())
     }
 }
 
-/// The place where a step writes its message.
+/// Output of a step.
 ///
-/// Images are written straight into the memory that the next stage reads, by [`Output::image`]. Lists, whose length is
-/// known only at the end, are gathered by [`Output::push`] and copied there once.
+/// Images are written directly into the memory that the next stage reads, by [`Output::image`]. Lists, whose length is known only
+/// at the end, are collected by [`Output::push`] and copied there once.
 pub struct Output<'a, T: Item> {
     /// The header of the message.
     pub header: Header,
@@ -237,7 +239,7 @@ pub struct Output<'a, T: Item> {
     image: bool,
 }
 
-/// An [`Output`] whatever its items.
+/// An [`Output`] without its item type.
 pub(crate) struct UntypedOutput<'a> {
     pub(crate) header: Header,
     pub(crate) memory: &'a mut dyn Memory,
@@ -246,7 +248,7 @@ pub(crate) struct UntypedOutput<'a> {
 
 /// Memory that the next stage reads.
 pub(crate) trait Memory {
-    /// The bytes of a place for `length` items, with undefined but valid content.
+    /// Loans bytes for `length` items, with arbitrary but valid content.
     fn loan(&mut self, length: usize) -> Result<&mut [u8], StageError>;
 }
 
@@ -259,28 +261,28 @@ impl<'a, T: Item> Output<'a, T> {
         Self { header, memory, list, counts, image: false }
     }
 
-    /// Adds an item to the list that is sent.
+    /// Appends an item to the list that is sent.
     pub fn push(&mut self, item: T) {
         self.list.push(item);
     }
 
-    /// Adds items to the list that is sent.
+    /// Appends items to the list that is sent.
     pub fn extend(&mut self, items: &[T]) {
         self.list.extend_from_slice(items);
     }
 
-    /// Memory for `length` items, to be written in place; each must be written, the content before is left over from an
-    /// earlier message. Where these are of any type, it is the bytes of so many.
+    /// Memory for `length` items, to be written in place. Each item must be written: the memory holds the content of an earlier
+    /// message. For items of any type `length` is in items of the actual type, and the memory is their bytes.
     ///
     /// # Errors
-    /// There is no memory left.
+    /// Shared memory is exhausted.
     pub fn image(&mut self, length: usize) -> Result<&mut [T], StageError> {
         self.image = true;
         let bytes = self.memory.loan(length)?;
         try_cast_slice_mut(bytes).map_err(|error| format!("the output has no place for {}: {error}", T::NAME).into())
     }
 
-    /// Adds to a counter that the summary and `top` show, such as why candidates were turned down.
+    /// Adds to a counter that the summary and `top` show, such as a reason for rejected candidates.
     pub fn count(&mut self, name: &'static str, times: u64) {
         if times > 0 {
             *self.counts.entry(name).or_default() += times;

@@ -1,4 +1,4 @@
-//! Who waits for whom in a run that stands still: read from the records of its stages.
+//! Finds out which stages of a stalled run wait for which, from the records of its stages.
 
 use crate::clock::monotonic_ns;
 use crate::plan::PlannedStage;
@@ -6,10 +6,10 @@ use crate::status::{Pausing, Status};
 use conicflow_messages::Text;
 use std::time::Duration;
 
-/// Who waits gives a sign of life ten times a second.
+/// Silence after which a stage counts as hanging; a waiting stage has ten heartbeats a second.
 const SILENT: Duration = Duration::from_secs(2);
 
-/// What keeps each stage that is not over from going on, in the order of the file; sources that nobody keeps are left out.
+/// Describes what each unfinished stage waits for, in the order of the file; sources that do not wait are left out.
 pub(crate) fn who_waits(stages: &[(&PlannedStage, &Status)]) -> Vec<String> {
     let now_ns = monotonic_ns();
     let over = |status: &Status| status.life().is_over();
@@ -17,7 +17,7 @@ pub(crate) fn who_waits(stages: &[(&PlannedStage, &Status)]) -> Vec<String> {
     alive.filter_map(|(planned, status)| waits(planned, status, stages, now_ns)).collect()
 }
 
-/// Whether any stage waits for another one to take what it has sent.
+/// Whether any stage waits for another one to take its messages.
 pub(crate) fn is_held_up(stages: &[(&PlannedStage, &Status)]) -> bool {
     let is_over = |status: &Status| status.life().is_over();
     stages.iter().any(|(_, status)| status.waits_for != Text::default() && !is_over(status))

@@ -1,7 +1,7 @@
-//! What a stage tells of itself while it runs: a fixed record in a file of the run's folder, rewritten after each step.
+//! Record of a running stage: a file of fixed layout in the run's folder, rewritten after each step.
 //!
-//! Whoever wants to know reads the file; the stage neither notices nor waits, and what it counted survives its death.
-//! Durations are counted in a histogram of fixed size with logarithmic buckets, because the record must have one.
+//! Observers read the file; the stage neither notices nor waits, and its counts survive its death. Durations are counted in a
+//! histogram with logarithmic buckets, as the record has a fixed size.
 
 use crate::clock::monotonic_ns;
 use crate::heartbeat::Heartbeat;
@@ -14,53 +14,53 @@ use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// Inputs that a record has room for; further ones are not counted.
+/// Maximum number of inputs in a record; further ones are not counted.
 pub const MAX_INPUTS: usize = 6;
-/// Kinds of items that a record has room for; further ones are not counted.
+/// Maximum number of item labels in a record; further ones are not counted.
 pub const MAX_LABELS: usize = 8;
-/// Named counters that a record has room for; further ones are not counted.
+/// Maximum number of named counters in a record; further ones are not counted.
 pub const MAX_COUNTERS: usize = 40;
 
-/// The run of stages that were started one by one, without a launcher.
+/// Run id of stages that were started one by one, without a launcher.
 pub const NO_RUN: u64 = 0;
 
 const LAYOUT: u64 = 0x636f_6e69_6366_0007;
-/// Each octave of time is cut into this many buckets: a percentile is right within 3 %.
+/// Number of buckets per octave of time: a percentile is accurate within 3 %.
 const STEPS: usize = 16;
 /// 1 microsecond to 69 seconds.
 const OCTAVES: usize = 26;
 const SMALLEST_NS: u64 = 1024;
 
-/// Where a stage is in its life.
+/// State of a stage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Life {
     /// Started, not yet ready.
     Starting,
     /// At work.
     Running,
-    /// Done: it has sent all that it had to.
+    /// Done: it has sent all its messages.
     Ended,
-    /// Given up by the launcher; it will not come back.
+    /// Given up by the launcher; it will not be restarted.
     Gone,
 }
 
 impl Life {
     const ALL: [Self; 4] = [Self::Starting, Self::Running, Self::Ended, Self::Gone];
 
-    /// Whether nothing more comes of it.
+    /// Whether the stage will do nothing more.
     pub fn is_over(self) -> bool {
         matches!(self, Self::Ended | Self::Gone)
     }
 }
 
-/// Whether a source stands still while its run is paused.
+/// Whether a source is paused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pausing {
-    /// It cannot: it is no source, or a live one.
+    /// It cannot be paused: it is a live source, or not a source.
     Cannot,
-    /// It can, and goes on.
+    /// It can be paused, and is running.
     Goes,
-    /// It stands still.
+    /// It is paused.
     Stands,
 }
 
@@ -74,33 +74,33 @@ impl Pausing {
 pub struct InputCounts {
     /// Name of the topic.
     pub topic: Text<64>,
-    /// Messages that were worked on.
+    /// Number of messages processed.
     pub received: u64,
-    /// Messages that the writer sent and this input lost to newer ones.
+    /// Number of messages that the writer sent and this input missed: replaced by newer ones, or lost.
     pub dropped: u64,
-    /// Frames that are missing in the sequence, wherever they were lost.
+    /// Number of frames missing in the sequence, wherever they were lost.
     pub gaps: u64,
-    /// Messages that came twice or out of order, and were left out.
+    /// Number of messages that came twice or out of order, and were skipped.
     pub late: u64,
-    /// Messages that made no sense, and were left out.
+    /// Number of malformed messages, which were skipped.
     pub malformed: u64,
-    /// The last message that was worked on.
+    /// The last processed message.
     pub last: LastMessage,
 }
 
-/// What tells which message of a stream one is.
+/// Identity of a message in a stream.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
 pub struct LastMessage {
     /// The stage that wrote it.
     pub writer: Text<32>,
-    /// Its number among the messages of that stage.
+    /// Its number among the messages of that writer.
     pub number: u64,
-    /// The stage that had its frame first.
+    /// The stage that made its frame.
     pub source: Text<32>,
-    /// The start of the source that made the frame.
+    /// Start number (epoch) of the source that made the frame.
     pub epoch: u64,
-    /// The frame's number in the source's sequence.
+    /// Sequence number of the frame at its source.
     pub sequence: u64,
 }
 
@@ -108,13 +108,13 @@ pub struct LastMessage {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
 pub struct Counter {
-    /// What is counted.
+    /// Name.
     pub name: Text<56>,
-    /// How often it was.
+    /// Count.
     pub count: u64,
 }
 
-/// Durations, counted in buckets that grow with the duration.
+/// Histogram of durations, with buckets that grow with the duration.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 pub struct Durations {
@@ -128,7 +128,7 @@ impl Default for Durations {
 }
 
 impl Durations {
-    /// Counts one duration, in nanoseconds.
+    /// Counts a duration in nanoseconds.
     pub fn add(&mut self, ns: u64) {
         let ns = ns.max(SMALLEST_NS);
         let octave = (ns.ilog2() - SMALLEST_NS.ilog2()) as usize;
@@ -137,25 +137,25 @@ impl Durations {
         self.buckets[bucket.0][bucket.1] += 1;
     }
 
-    /// How many were counted.
+    /// Number of counted durations.
     pub fn count(&self) -> u64 {
         self.buckets.iter().flatten().map(|&count| u64::from(count)).sum()
     }
 
-    /// How many there are in each octave, with the octave's upper end in seconds; whatever is longer than all is in the last.
+    /// Number of durations in each octave, with the octave's upper end in seconds; the last octave includes all longer ones.
     pub fn octaves(&self) -> impl Iterator<Item = (f64, u64)> {
         let end = |octave: usize| (SMALLEST_NS << (octave + 1)) as f64 * 1e-9;
         let counted = self.buckets.iter().map(|octave| octave.iter().map(|&count| u64::from(count)).sum());
         counted.enumerate().map(move |(octave, count)| (end(octave), count))
     }
 
-    /// All of them together in seconds, within 3 %.
+    /// Sum of the durations in seconds, within 3 %.
     pub fn sum_s(&self) -> f64 {
         let counts = self.buckets.iter().flatten().enumerate();
         counts.map(|(index, &count)| f64::from(count) * middle_ns(index) * 1e-9).sum()
     }
 
-    /// The duration that the share `quantile` (0 to 1) of all does not exceed; `None` if none was counted.
+    /// Quantile of the durations for `quantile` from 0 to 1; `None` if none was counted.
     pub fn quantile(&self, quantile: f64) -> Option<Duration> {
         let rank = (self.count() as f64 * quantile).ceil().max(1.0) as u64;
         let mut below = 0;
@@ -175,7 +175,7 @@ fn middle_ns(index: usize) -> f64 {
     (SMALLEST_NS << octave) as f64 * (1.0 + (step as f64 + 0.5) / STEPS as f64)
 }
 
-/// Times between messages that were sent one after the other: their distribution and their exact moments.
+/// Intervals between successive messages: their distribution and their exact moments.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 pub struct Intervals {
@@ -186,7 +186,7 @@ pub struct Intervals {
 }
 
 impl Intervals {
-    /// Counts one interval, in nanoseconds.
+    /// Counts an interval in nanoseconds.
     pub fn add(&mut self, ns: u64) {
         let seconds = ns as f64 * 1e-9;
         self.durations.add(ns);
@@ -195,7 +195,7 @@ impl Intervals {
         self.sum_squares_s2 += seconds * seconds;
     }
 
-    /// The intervals that were counted after an earlier look at the same record.
+    /// The intervals that were counted since an earlier state of the same record.
     pub fn since(&self, earlier: &Self) -> Self {
         let mut buckets = self.durations.buckets;
         let before = earlier.durations.buckets.as_flattened();
@@ -218,7 +218,7 @@ impl Intervals {
         (self.count > 0).then(|| self.sum_s / self.count as f64)
     }
 
-    /// Standard deviation in seconds; `None` of fewer than two.
+    /// Standard deviation in seconds; `None` for fewer than two.
     pub fn standard_deviation_s(&self) -> Option<f64> {
         let count = self.count as f64;
         let mean = self.sum_s / count;
@@ -235,39 +235,39 @@ pub struct Status {
     pub run: u64,
     /// Name of the stage.
     pub stage: Text<32>,
-    /// Process of the stage.
+    /// Process id of the stage.
     pub process: u32,
     life: u32,
-    /// How many messages there will be in all; 0 if that is not known.
+    /// Total number of messages that there will be; 0 if unknown.
     pub total: u64,
-    /// Messages worked on (a source: made).
+    /// Number of messages processed (by a source: made).
     pub steps: u64,
-    /// Messages sent.
+    /// Number of messages sent.
     pub sent: u64,
-    /// Bytes of the messages sent.
+    /// Number of bytes of the messages sent.
     pub sent_bytes: u64,
-    /// How often the stage was started in this run.
+    /// Number of starts of the stage in this run.
     pub starts: u64,
-    /// Not 0 where it ended before its input did, because it or somebody else wanted no more.
+    /// Not 0 if it ended before its input did, because it or the user wanted no more.
     pub had_enough: u64,
-    /// Last sign of life of its process, on the monotonic clock.
+    /// Last heartbeat of its process, on the monotonic clock, in nanoseconds.
     pub alive_ns: u64,
     /// The stage that it waits for to take its messages, if it has waited for a tenth of a second.
     pub waits_for: Text<32>,
     pausing: u64,
     /// Counts per input, the driving one first.
     pub inputs: [InputCounts; MAX_INPUTS],
-    /// Items sent, by what they are called.
+    /// Items sent, by label.
     pub found: [Counter; MAX_LABELS],
-    /// What the stage counts itself.
+    /// Counters of the stage's own.
     pub counters: [Counter; MAX_COUNTERS],
-    /// Time that steps took.
+    /// Durations of steps.
     pub compute: Durations,
-    /// Time from the writer's sending to this stage's receiving.
+    /// Time from the sending by the writer to the receipt by this stage.
     pub hop: Durations,
-    /// Time from the source's having a frame to this stage's receiving what was made of it.
+    /// Time from the source's receipt of a frame to this stage's receipt of the message computed from it.
     pub latency: Durations,
-    /// Time between messages sent.
+    /// Intervals between sent messages.
     pub intervals: Intervals,
 }
 
@@ -278,22 +278,22 @@ impl Default for Status {
 }
 
 impl Status {
-    /// Where the stage is in its life.
+    /// State of the stage.
     pub fn life(&self) -> Life {
         Life::ALL.get(self.life as usize).copied().unwrap_or(Life::Starting)
     }
 
-    /// Says where the stage is in its life.
+    /// Sets the state of the stage.
     pub fn set_life(&mut self, life: Life) {
         self.life = life as u32;
     }
 
-    /// Whether it stands still while its run is paused.
+    /// Whether the source is paused.
     pub fn pausing(&self) -> Pausing {
         Pausing::ALL.get(self.pausing as usize).copied().unwrap_or(Pausing::Cannot)
     }
 
-    /// Says whether it stands still while its run is paused.
+    /// Sets whether the source is paused.
     pub fn set_pausing(&mut self, pausing: Pausing) {
         self.pausing = pausing as u64;
     }
@@ -303,23 +303,23 @@ impl Status {
         add(&mut self.counters, name, times);
     }
 
-    /// Counts an item that was sent, by what it is called.
+    /// Counts a sent item by its label.
     pub fn count_found(&mut self, label: &str) {
         add(&mut self.found, label, 1);
     }
 
-    /// The inputs that are in use.
+    /// The inputs in use.
     pub fn used_inputs(&self) -> impl Iterator<Item = &InputCounts> {
         self.inputs.iter().filter(|input| input.topic != Text::default())
     }
 
-    /// Whether a process of the run `run` goes on with this record. Stages that were started one by one have no run in
-    /// common: what an earlier one left is not theirs.
+    /// Whether a process of the run `run` continues this record. Stages that were started one by one share no run, so they never
+    /// continue an earlier record.
     fn continues_in(&self, run: u64) -> bool {
         self.run == run && run != NO_RUN
     }
 
-    /// Reads the record in a file; `None` where there is none that makes sense.
+    /// Reads the record in a file; `None` if the file is missing or its layout is another.
     pub fn read(path: &Path) -> Option<Self> {
         let mut status = Self::zeroed();
         File::open(path).ok()?.read_exact_at(bytemuck::bytes_of_mut(&mut status), 0).ok()?;
@@ -336,33 +336,33 @@ fn add(counters: &mut [Counter], name: &str, times: u64) {
     }
 }
 
-/// The counters that are in use.
+/// The counters in use.
 pub fn used(counters: &[Counter]) -> impl Iterator<Item = (&str, u64)> {
     let used = counters.iter().filter(|counter| counter.name != Text::default());
     used.map(|counter| (counter.name.as_str().unwrap_or("?"), counter.count))
 }
 
-/// The file of a stage's record.
+/// Path of a stage's record.
 pub(crate) fn status_path(folder: &Path, stage: &str) -> PathBuf {
     folder.join(format!("{stage}.status"))
 }
 
-/// A record and the file that it is kept in.
+/// A record and its file.
 #[derive(Debug)]
 pub struct StatusFile {
-    /// The record; [`StatusFile::write`] makes it seen.
+    /// The record; [`StatusFile::write`] publishes it.
     pub status: Box<Status>,
     file: Option<File>,
 }
 
 impl StatusFile {
-    /// A record that is kept nowhere.
+    /// A record without a file.
     pub(crate) fn nowhere() -> Self {
         Self { status: Box::default(), file: None }
     }
 
-    /// The record in the file `path`, continued if it is of the same `run`, else begun; stages
-    /// that were started one by one ([`NO_RUN`]) always begin.
+    /// Opens the record in the file `path`, and continues it if it belongs to the same `run`. Stages that were started one by one
+    /// ([`NO_RUN`]) always begin a new record.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -375,7 +375,7 @@ impl StatusFile {
         Ok(Self { status, file: Some(file) })
     }
 
-    /// Takes over what another process of the same stage and run has written since this one opened the file.
+    /// Loads what another process of the same stage and run has written since this one opened the file.
     pub(crate) fn reload(&mut self) {
         let mut status = Status::zeroed();
         let read = self.file.as_ref().map(|file| file.read_exact_at(bytemuck::bytes_of_mut(&mut status), 0));
@@ -384,13 +384,13 @@ impl StatusFile {
         }
     }
 
-    /// Signs of life of this process between the times that the record is written.
+    /// Heartbeat of this process for the time between writes of the record.
     pub(crate) fn heartbeat(&self) -> Option<Heartbeat> {
         let file = self.file.as_ref()?.try_clone().ok()?;
         Some(Heartbeat::new(file, offset_of!(Status, alive_ns), offset_of!(Status, waits_for)))
     }
 
-    /// Makes the record seen by others, and is a sign of life. A file that cannot be written (a full disk) only hides the counts.
+    /// Publishes the record, which is a heartbeat, too. A failed write (a full disk) only hides the counts.
     pub fn write(&mut self) {
         self.status.alive_ns = monotonic_ns();
         if let Some(file) = &self.file {

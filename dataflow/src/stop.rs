@@ -1,13 +1,13 @@
-//! The request to end: the flag by which a stage learns that its run ends, or that it is to leave its place.
+//! The request to end: a flag by which a stage learns that its run ends, or that it has to hand over its place.
 
 use crate::heartbeat::Heartbeat;
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 use std::sync::{Arc, OnceLock};
 
-/// A flag that is raised when the run is to end: in order, or at once.
+/// A flag that is set when the run is to end: in order, or at once.
 ///
-/// Whoever asks for it lives: asking is the sign by which the launcher tells a stage that waits from one that hangs, so a
-/// step that may take seconds asks now and then.
+/// Each query also sends a heartbeat, by which the launcher distinguishes a waiting stage from one that hangs. A step that may
+/// take seconds should therefore query it now and then.
 #[derive(Clone, Debug, Default)]
 pub struct Stop(Arc<Flags>);
 
@@ -28,13 +28,13 @@ impl Stop {
         self.0.end.load(Ordering::Relaxed) >= IN_ORDER
     }
 
-    /// Whether it is to end at once: nobody waits any more.
+    /// Whether the run is to end at once, without waiting for anything.
     pub fn forced(&self) -> bool {
         self.show_life();
         self.0.end.load(Ordering::Relaxed) >= AT_ONCE
     }
 
-    /// Ends the run in order: no new frames, and those under way are finished.
+    /// Ends the run in order: sources stop, and frames in flight are finished.
     pub fn request(&self) {
         self.0.end.fetch_max(IN_ORDER, Ordering::Relaxed);
     }
@@ -48,23 +48,23 @@ impl Stop {
         self.0.heartbeat.get().into_iter().for_each(Heartbeat::beat);
     }
 
-    /// Says that this stage waits for another one to take its messages.
+    /// Records in the heartbeat that this stage waits for the stage `stage` to take its messages.
     pub(crate) fn wait_for(&self, stage: &str) {
         self.0.heartbeat.get().into_iter().for_each(|heartbeat| heartbeat.wait_for(stage));
     }
 
-    /// From now on signs of life go there.
+    /// Sets the heartbeat that queries update.
     pub(crate) fn show_life_by(&self, heartbeat: Heartbeat) {
-        // A process has one stage, and one record.
+        // A process runs one stage, with one record.
         self.0.heartbeat.set(heartbeat).ok();
     }
 
-    /// Whether this stage is to leave its place to another process.
+    /// Whether this stage is to hand its place to another process.
     pub(crate) fn leaving(&self) -> bool {
         self.0.leave.load(Ordering::Relaxed)
     }
 
-    /// Asks this stage to leave its place to another process; the run goes on.
+    /// Asks this stage to hand its place to another process; the run goes on.
     pub(crate) fn leave(&self) {
         self.0.leave.store(true, Ordering::Relaxed);
     }

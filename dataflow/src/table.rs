@@ -3,18 +3,18 @@
 use conicflow_messages::plain;
 use std::fmt::{self, Display, Write};
 
-/// Columns of text, the first two to the left and the others to the right.
+/// Columns of text: the first two aligned left, the others right.
 pub struct Table {
     rows: Vec<Vec<String>>,
 }
 
 impl Table {
-    /// A table with these titles.
+    /// A table with these column titles.
     pub fn new(titles: &[&str]) -> Self {
         Self { rows: vec![titles.iter().map(|title| (*title).to_owned()).collect()] }
     }
 
-    /// Adds a row; it has as many cells as there are titles.
+    /// Adds a row with as many cells as there are titles.
     pub fn row(&mut self, cells: impl Iterator<Item = String>) {
         self.rows.push(cells.map(|cell| plain(&cell)).collect());
     }

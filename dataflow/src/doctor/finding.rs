@@ -1,6 +1,6 @@
-//! What an examination finds.
+//! Findings of the checks.
 
 use std::error::Error;
 
-/// Something that is wrong: an error that says what to do about it.
+/// A problem: an error with a hint.
 pub type Finding = Box<dyn Error>;

@@ -1,4 +1,5 @@
-//! Whether a run could have its folder (private, writable, and with a path that is short enough for sockets) and shared memory.
+//! Checks whether a run could have its folder (private, writable, and with a path that is short enough for sockets) and shared
+//! memory.
 
 use super::finding::Finding;
 use crate::launcher::{FolderError, check_private, user_folder};
@@ -9,14 +10,14 @@ use rustix::fs::{Access, access};
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// What keeps a run from having its folder, and from shared memory.
+/// Reports problems with the run's folder and with shared memory.
 pub(super) fn examine() -> Vec<Finding> {
     let user = user_folder();
     let parts = [user.clone(), user.join("run"), user.join("shm")];
     let faults = parts.into_iter().filter_map(|path| fault(path).map(Finding::from));
     let too_long = check_path(&user.join("shm")).err();
     let mut findings: Vec<_> = too_long.into_iter().map(Finding::from).chain(faults).collect();
-    // What keeps this user out of the first folder keeps it out of those within.
+    // A problem with the first folder causes those with the folders in it.
     findings.truncate(1);
     findings.extend(writable(Path::new(SHARED_MEMORY)).err().map(no_shared_memory));
     findings

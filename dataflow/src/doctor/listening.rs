@@ -1,4 +1,5 @@
-//! Whether the ports that a pipeline listens on are free, and whether others can take who listens or connects.
+//! Checks the endpoints of a pipeline: the ports that it listens on, the hosts that it connects to, and the address of its
+//! metrics.
 
 use super::finding::Finding;
 use crate::network::{BridgePlan, Network};
@@ -8,7 +9,7 @@ use conicflow_messages::Hinted;
 use std::io::{self, ErrorKind};
 use std::net::{SocketAddr, TcpListener, UdpSocket};
 
-/// The ports that these plans need and cannot have. Addresses of other machines tell nothing here.
+/// Reports ports that these plans need and that cannot be bound. Addresses of other machines are not checked.
 pub(super) fn examine(plans: &[&Plan], network: &Network) -> Vec<Finding> {
     let endpoints = bridges(plans).flat_map(|bridge| match (network.listen_endpoints)(&bridge.settings) {
         Ok(endpoints) => endpoints.into_iter().map(|endpoint| Ok((bridge.machine.clone(), endpoint))).collect(),
@@ -21,7 +22,7 @@ pub(super) fn examine(plans: &[&Plan], network: &Network) -> Vec<Finding> {
     found.collect()
 }
 
-/// What may keep the machines of these plans from their links.
+/// Warns of problems that may prevent the links of these plans' machines.
 pub(super) fn warnings(plans: &[&Plan], network: &Network) -> Vec<Finding> {
     let warnings = bridges(plans).flat_map(|bridge| {
         let warning = |Hinted { what, hint, .. }| Hinted::new(format!("machine `{}`: {what}", bridge.machine), hint);
@@ -44,7 +45,7 @@ fn taken(machine: &str, endpoint: &str) -> Option<Hinted> {
     Some(Hinted::new(format!("machine `{machine}` cannot listen on `{endpoint}`: {error}"), hint(&error, address)?))
 }
 
-/// That the metrics of a run cannot be offered at this address; `is_own`: that it has to be one of this machine.
+/// Reports that the metrics of a run cannot be served at this address; `is_own`: whether it has to be an address of this machine.
 pub(super) fn metrics(address: SocketAddr, is_own: bool) -> Option<Finding> {
     let error = TcpListener::bind(address).err()?;
     let what = format!("`metrics` of the pipeline file: nothing can be offered at {address}: {error}");
@@ -52,7 +53,7 @@ pub(super) fn metrics(address: SocketAddr, is_own: bool) -> Option<Finding> {
     Some(Hinted::new(what, hint(&error, &address.to_string()).or_else(no_address)?).into())
 }
 
-/// What to do about a port of this machine; `None` where the address is of another one.
+/// Hint for a port of this machine; `None` if the address belongs to another one.
 fn hint(error: &io::Error, address: &str) -> Option<String> {
     let port = address.rsplit(':').next().unwrap_or(address);
     match error.kind() {
@@ -85,7 +86,7 @@ mod tests {
         assert!(finding.what.starts_with(&format!("machine `robot` cannot listen on `{endpoint}`: ")), "{finding}");
         assert!(finding.hint.contains("choose another port"), "{finding}");
         drop(holder);
-        // The processes that other tests start have a copy of it until they are other programs.
+        // Processes that other tests fork hold a copy of the socket until they exec.
         assert!(until(|| taken("robot", &endpoint).is_none()));
     }
 

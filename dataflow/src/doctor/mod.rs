@@ -1,6 +1,6 @@
-//! What is wrong with this machine for running pipelines, and the removal of what dead runs have left.
+//! Finds problems of this machine with running pipelines, and removes leftovers of dead runs.
 //!
-//! To look changes nothing: no folder is made, no process is touched. Each look is a file of its own, and gives findings.
+//! Checks change nothing: they create no folder and touch no process. Each check is a file of its own, and returns findings.
 
 mod finding;
 mod folder;
@@ -21,8 +21,8 @@ use std::net::SocketAddr;
 use std::path::Path;
 use std::time::Duration;
 
-/// Looks at this machine, for a pipeline with these plans: one for each machine that this may be. `metrics` is where their
-/// launchers offer the metrics of a run.
+/// Checks this machine for a pipeline with these plans, one for each machine of the file that this may be. `metrics` has the
+/// addresses at which their launchers serve metrics.
 pub fn examine(plans: &[Plan], metrics: &[SocketAddr], registry: &Registry) -> Vec<Finding> {
     let mut findings = folder::examine();
     let usable = findings.is_empty();
@@ -34,7 +34,7 @@ pub fn examine(plans: &[Plan], metrics: &[SocketAddr], registry: &Registry) -> V
         findings.extend(listening::examine(&idle, network));
         findings.extend(listening::warnings(&plans.iter().collect::<Vec<_>>(), network));
     }
-    // A run that goes on has its address itself.
+    // A running pipeline uses its address itself.
     if !idle.is_empty() {
         findings.extend(metrics.iter().filter_map(|address| listening::metrics(*address, plans.len() == 1)));
     }
@@ -47,16 +47,16 @@ pub fn examine(plans: &[Plan], metrics: &[SocketAddr], registry: &Registry) -> V
     without_repetition(findings)
 }
 
-/// What holds for several plans is told once.
+/// Drops repeated findings, as several plans may have the same.
 fn without_repetition(findings: Vec<Finding>) -> Vec<Finding> {
     let mut told = HashSet::new();
     findings.into_iter().filter(|finding| told.insert(finding.to_string())).collect()
 }
 
-/// Removes what dead runs of this user have left, and tells what that was. What a live process uses stays, whoever's it is.
+/// Removes leftovers of this user's dead runs, and returns descriptions of them. Files in use by a live process of any user stay.
 pub fn clean() -> Vec<String> {
     let mut removed = Vec::new();
-    // What the folder leads to comes first: it is removed in its own order.
+    // Leftovers that the folder leads to are removed first, in their proper order.
     if folder::examine().is_empty() {
         let shared_memory = user_folder().join("shm");
         removed.extend(clear(&shared_memory).ok().and_then(|litter| describe(litter, &shared_memory)));

@@ -1,4 +1,4 @@
-//! Stages that outlived their launcher, which they should not.
+//! Finds stages that outlived their launcher, which should not happen.
 
 use super::finding::Finding;
 use crate::launcher::{LAST_STAGES_GRACE, LAUNCHER, PIPELINE, RUNTIME_DIR, STAGE, user_folder};
@@ -12,8 +12,8 @@ use std::time::{Duration, Instant};
 
 const ORPHAN_CHECK_PERIOD: Duration = Duration::from_millis(100);
 
-/// The processes of this user and its folder that a launcher started which is not their parent any more. Those of a launcher
-/// that died just now are given the time to end by themselves.
+/// Processes of this user and folder whose launcher is no longer their parent. Those of a launcher that has just died get the
+/// time to end by themselves.
 pub(super) fn examine() -> Vec<Finding> {
     let deadline = Instant::now() + LAST_STAGES_GRACE;
     let mut found = orphans();
@@ -39,7 +39,7 @@ fn orphan(process: u32) -> Option<Finding> {
     let variable = |name: &str| value(&environment, name);
     let same_folder = variable(RUNTIME_DIR).is_some_and(|folder| Path::new(&folder) == user_folder());
     let (pipeline, stage, launcher) = (variable(PIPELINE)?, variable(STAGE)?, variable(LAUNCHER)?);
-    // A process that a stage itself started has that stage for a parent, and ends when it will.
+    // A process that a stage has started has that stage as its parent, and ends when it chooses to.
     let stat = fs::read_to_string(folder.join("stat")).ok()?;
     let parent = living_parent(&stat)?;
     let lost = same_folder && parent != launcher && !started_by_stage(&parent);
@@ -48,7 +48,7 @@ fn orphan(process: u32) -> Option<Finding> {
     lost.then(|| Hinted::new(what, hint).into())
 }
 
-/// Whether its numbers of processes are ours: those of a container say nothing here.
+/// Whether a process is in our namespace of process ids: ids of a container have no meaning here.
 fn is_in_own_numbering(process: &Path) -> bool {
     let numbering = |process: &Path| fs::read_link(process.join("ns/pid")).ok();
     numbering(process).is_some_and(|its| Some(its) == numbering(Path::new("/proc/self")))
@@ -64,7 +64,7 @@ fn value(environment: &[u8], name: &str) -> Option<String> {
     entries.into_iter().find_map(|entry| entry.strip_prefix(name)?.strip_prefix('=').map(str::to_owned))
 }
 
-/// The parent in the text of `/proc/PID/stat`, unless the process has ended and only waits to be noticed.
+/// The parent's id in the text of `/proc/PID/stat`; `None` for a zombie.
 fn living_parent(stat: &str) -> Option<String> {
     let mut after_name = stat.rsplit_once(')')?.1.split_whitespace();
     let state = after_name.next()?;

@@ -1,4 +1,4 @@
-//! One stage as the launcher sees it: its process, and whether it is to be started anew.
+//! Supervision of one stage by the launcher: its process, and whether to restart it.
 
 use super::folder::{PLAN, RunFolder};
 use super::guarded::Guarded;
@@ -17,22 +17,22 @@ use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::process::{Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
-/// A stage is started anew so often in a row; one that has worked for long enough begins at the first time again, however often
-/// it has died before.
+/// Maximum number of restarts in a row; a stage that has worked for long enough starts to count again, however often it has died.
 const MAX_RESTARTS: u32 = 10;
-/// Long enough for a process that died: one that dies once an hour lives for ever, and one that dies every few seconds does not.
+/// Time after which a process counts as having worked. A stage that dies once an hour is always restarted, one that dies every
+/// few seconds is not.
 const WORKED_WELL: Duration = Duration::from_secs(60);
 const FIRST_BACK_OFF: Duration = Duration::from_millis(100);
 const LONGEST_BACK_OFF: Duration = Duration::from_secs(5);
 
-/// A program that has not joined the run so long after its start is named: a stage joins when it has loaded what it needs.
+/// A program that has not joined the run this long after its start is reported: a stage joins when it has loaded what it needs.
 const NAMED_AFTER: Duration = Duration::from_secs(2);
-/// What to do about a program that does not.
+/// Hint for a program that does not join.
 const HOW_TO_JOIN: &str = "a program joins by `run_stage` or `run_source` of conicflow-dataflow, in Python by conicflow.stage() \
                            or conicflow.source(); one that needs long to load may do that afterwards, or say how long: restart = \
                            { join_s = 600 }";
 
-/// Where a stage's process is.
+/// State of a stage's process.
 enum State {
     Running(Guarded),
     Waiting { until: Instant },
@@ -40,24 +40,24 @@ enum State {
     Gone,
 }
 
-/// What became of a stage at a look.
+/// Change of a stage since the last check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Change {
-    /// Nothing to speak of.
+    /// Nothing to act on.
     None,
-    /// It will not come back although it should have, and the run cannot go on.
+    /// It failed for good, and the run cannot go on.
     Lost,
-    /// It will not come back, as the pipeline file says; the others go on.
+    /// It will not be restarted, as the pipeline file says; the others go on.
     Left,
 }
 
-/// What the launcher knows of the run, for those that look after a stage.
+/// State of the run, for the code that supervises a stage.
 pub(crate) struct RunState<'a> {
     pub(crate) plan: &'a mut Plan,
     pub(crate) folder: &'a RunFolder,
     pub(crate) options: &'a RunOptions,
     pub(crate) phase: Phase,
-    /// Whether its folder, or what its stages share, was removed: one that is started anew would not find the others.
+    /// Whether the run's folder or its shared memory was removed: a restarted stage would not find the others.
     pub(crate) is_removed: bool,
 }
 
@@ -76,26 +76,25 @@ pub(crate) struct Supervised {
     pub(crate) planned: PlannedStage,
     state: State,
     watchdog: Watchdog,
-    /// How many processes have died in a row, none of which had worked for long enough.
+    /// Number of processes that died in a row before they had worked for long enough.
     deaths: u32,
-    /// The process of which was said already that it has not joined the run.
+    /// The process that was reported as not having joined the run.
     outsider: Option<u32>,
-    /// Whether was said already how a program joins.
+    /// Whether the hint on how to join was logged already.
     is_hinted: bool,
-    /// The process that was seen at work, since the last start.
+    /// The process that was seen at work since the last start.
     at_work: Option<u32>,
-    /// How many processes were seen at work, or were started after one that was.
+    /// Number of processes that were seen at work, or were started after one that was.
     turns: u64,
-    /// Whether was said already that the run waits for this stage, which has not joined it, although all that write for it have
-    /// ended.
+    /// Whether it was logged already that the run waits only for this stage to join, as all its writers have ended.
     is_last: bool,
     started: Instant,
-    /// Whether it was started when the sources had been told to stop, and is still to be told, too.
+    /// Whether it was started after the sources had been asked to stop, and still has to be asked, too.
     is_late: bool,
 }
 
 impl Supervised {
-    /// Starts a stage for the first time; a fault then is one of the run.
+    /// Starts a stage for the first time; an error ends the run.
     pub(crate) fn start(planned: PlannedStage, plan: &Plan, options: &RunOptions) -> Result<Self, ProcessError> {
         let started = Guarded::start(&mut command(&planned, plan, options), &planned);
         let process = started.map_err(|error: io::Error| ProcessError::System {
@@ -119,35 +118,35 @@ impl Supervised {
         })
     }
 
-    /// Its process, if there is one.
+    /// Process id of the stage, if it runs.
     pub(crate) fn process(&self) -> Option<u32> {
         if let State::Running(process) = &self.state { Some(process.child.id()) } else { None }
     }
 
-    /// How far its processes have brought it: how many came to work, or were started after one that had.
+    /// Number of its processes that came to work, or were started after one that had.
     pub(crate) fn turns(&self) -> u64 {
         self.turns
     }
 
-    /// Its process, if that has ended; what follows from it is for the one who asks, or for the next look.
+    /// Id of its process, if that has ended. The state does not change: the caller, or the next check, acts on it.
     pub(crate) fn exit(&mut self) -> Option<u32> {
         let State::Running(Guarded { child, .. }) = &mut self.state else { return None };
         let ended = !matches!(child.try_wait(), Ok(None));
         ended.then(|| child.id())
     }
 
-    /// Gives its place to another process, which is there already.
+    /// Hands its place to another process, which runs already.
     pub(crate) fn take(&mut self, process: Guarded) {
         (self.state, self.started) = (State::Running(process), Instant::now());
     }
 
-    /// Starts it anew at the next look, as `planned`.
+    /// Makes the next check restart it, as `planned`.
     pub(crate) fn come_back(&mut self, planned: PlannedStage) {
         self.planned = planned;
         self.state = State::Waiting { until: Instant::now() };
     }
 
-    /// Whether nothing of it runs, or is going to.
+    /// Whether it neither runs nor will be restarted.
     pub(crate) fn is_over(&self) -> bool {
         matches!(self.state, State::Done | State::Gone)
     }
@@ -160,13 +159,13 @@ impl Supervised {
     /// Sends a signal to its process, if there is one.
     pub(crate) fn signal(&self, signal: Signal) {
         if let Some(process) = self.process().and_then(|process| Pid::from_raw(process.cast_signed())) {
-            // It may just have ended by itself.
+            // The process may just have ended by itself.
             kill_process(process, signal).ok();
         }
     }
 
-    /// Sends a signal to its process and to all that this has started, if there is one. The group has the number of the process as
-    /// long as that is not waited for.
+    /// Sends a signal to its process, if there is one, and to all that this has started. The id of the group stays that of the
+    /// process until the process is waited for.
     pub(crate) fn signal_group(&self, signal: Signal) {
         if let Some(process) = self.process().and_then(|process| Pid::from_raw(process.cast_signed())) {
             kill_process_group(process, signal).ok();
@@ -184,13 +183,13 @@ impl Supervised {
         }
     }
 
-    /// Looks whether the process ended, and starts it anew where that is due. While what is under way is delivered all are
-    /// needed but the sources.
+    /// Checks whether the process has ended, and restarts it where due. While frames in flight are delivered, every stage but the
+    /// sources is needed.
     pub(crate) fn look(&mut self, run: &RunState<'_>) -> Change {
         let ending = match run.phase {
             _ if run.is_removed => true,
             Phase::Running => false,
-            // What waits on its way to another machine, and what that has to hear, needs the bridge.
+            // The bridge still has to send messages to other machines, and to receive their acknowledgements.
             Phase::Delivering { .. } => self.planned.is_source() && !self.planned.is_bridge(),
             Phase::Stopping { .. } | Phase::Killing => true,
         };
@@ -214,7 +213,7 @@ impl Supervised {
         }
     }
 
-    /// Tells a source that was started late to stop, as the others were; before it has joined it could not take it in.
+    /// Asks a source that was started late to stop, like the others; before it has joined it would not handle the signal.
     fn stop_if_late(&mut self, run: &RunState<'_>) {
         if self.is_late && self.process().is_some_and(|process| self.own_record(process, run).is_some()) {
             self.signal(Signal::INT);
@@ -222,8 +221,8 @@ impl Supervised {
         }
     }
 
-    /// What keeps a stage from coming back, such as a program that is just being replaced, is no fault of the others: it
-    /// counts as one more death.
+    /// Starts the process again. A failure to start, as of a program that is just being replaced, does not end the run: it counts
+    /// as one more death.
     fn start_anew(&mut self, run: &RunState<'_>) -> Change {
         match Guarded::start(&mut command(&self.planned, run.plan, run.options), &self.planned) {
             Ok(process) => {
@@ -235,7 +234,7 @@ impl Supervised {
         }
     }
 
-    /// Looks whether the process still gives signs of life; one that hangs is reported, and killed where the file says so.
+    /// Checks the heartbeat of the process. One that hangs is reported, and killed where the file says so.
     fn watch(&mut self, run: &RunState<'_>) -> Change {
         let Some(process) = self.process() else { return Change::None };
         let own = self.own_record(process, run);
@@ -267,7 +266,7 @@ impl Supervised {
         Change::None
     }
 
-    /// Names a program that takes its time to join the run, and gives it up where the run does not go on without it for too long.
+    /// Reports a program that has not joined the run, and gives it up when the run has waited for it too long.
     fn wait_to_join(&mut self, process: u32, command: &str, run: &RunState<'_>) -> Change {
         let (name, waited) = (&self.planned.name, self.started.elapsed());
         let (topic, limit_s) = (self.lossless_topic(), self.planned.join_s.unwrap_or(TIME_TO_JOIN_S));
@@ -318,7 +317,7 @@ impl Supervised {
         }
     }
 
-    /// A topic at which it must not miss a message, or its readers must not.
+    /// A topic on which this stage, or its readers, must not miss a message.
     fn lossless_topic(&self) -> Option<&str> {
         let wiring = &self.planned.wiring;
         let mut lossless = wiring.inputs().filter(|topic| topic.delivery_to(&self.planned.name) == Delivery::Lossless);
@@ -326,12 +325,12 @@ impl Supervised {
         topic.map(|topic| topic.name.as_str())
     }
 
-    /// What a process of it has told of itself in the run.
+    /// The record that this process of the stage has written in the run, if any.
     fn own_record(&self, process: u32, run: &RunState<'_>) -> Option<Status> {
         run.record(&self.planned.name).filter(|record| record.process == process)
     }
 
-    /// Whether all that write its input are over: there is nothing to come back for.
+    /// Whether all writers of its input are over, so that a restart is pointless.
     fn has_heard_all(&self, run: &RunState<'_>) -> bool {
         let is_over = |stage: &String| run.record(stage).is_some_and(|record| record.life().is_over());
         let writers = self.planned.wiring.input.as_ref().map(|topic| &topic.writers).filter(|all| !all.is_empty());
@@ -371,12 +370,12 @@ impl Supervised {
             tracing::error!("stage `{name}` could not be made ready, for what it told");
             return self.give_up(run, Change::Lost);
         }
-        // A program that is to do its work again and again may be quick about it.
+        // A program with `restart = "always"` may do its work quickly.
         let long_enough = if finished { LONGEST_BACK_OFF } else { WORKED_WELL };
         self.died(&describe(status), self.started.elapsed() >= long_enough, run)
     }
 
-    /// Sees to it that it is started anew, later with each death, unless that is not wanted or was done too often.
+    /// Schedules a restart, with a back-off that grows with each death, unless restarts are disabled or exhausted.
     fn died(&mut self, how: &str, has_worked_well: bool, run: &RunState<'_>) -> Change {
         let name = &self.planned.name;
         if self.planned.restart == Restart::Never {
@@ -403,7 +402,7 @@ impl Supervised {
         Change::None
     }
 
-    /// Leaves it at what it has done, as the run ends; the others are not to wait for it.
+    /// Does not restart it, as the run ends; the others are not to wait for it.
     fn stay_away(&mut self, run: &RunState<'_>) -> Change {
         self.state = State::Done;
         run.set_life(&self.planned.name, Life::Gone);
@@ -417,20 +416,20 @@ impl Supervised {
     }
 }
 
-/// Whether a process that exited well, and whose record tells this, had done all its work, rather than having been told to go.
-/// A program that keeps no record is believed.
+/// Whether a process that exited with success had finished its work, by its record, rather than having been asked to stop. A
+/// program without a record is believed.
 fn came_to_its_end(own: Option<Life>) -> bool {
     matches!(own, None | Some(Life::Ended))
 }
 
-/// How long a stage stays away after so many deaths in a row, the last one included; `None`: it died too often.
+/// Back-off after this many deaths in a row; `None` after too many.
 fn back_off(deaths: u32) -> Option<Duration> {
     let back_off = || (FIRST_BACK_OFF * 2_u32.pow(deaths.saturating_sub(1))).min(LONGEST_BACK_OFF);
     (deaths <= MAX_RESTARTS).then(back_off)
 }
 
-/// What starts a stage. Each gets a process group of its own, so that Ctrl-C reaches the launcher alone, which ends them in
-/// order, and what a program has started can be told from all else.
+/// Command that starts a stage. Each stage has its own process group, so that Ctrl-C reaches only the launcher, which ends the
+/// stages in order, and so that processes started by a program can be identified.
 pub(crate) fn command(planned: &PlannedStage, plan: &Plan, options: &RunOptions) -> Command {
     let mut command = as_stage(planned, plan, PLAN, options);
     command.env(LAUNCHER, std::process::id().to_string()).stdin(Stdio::null()).process_group(0);

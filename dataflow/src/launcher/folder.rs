@@ -1,4 +1,4 @@
-//! Where a run keeps its files: one folder per user, in it one per pipeline, and beside them the files of shared memory.
+//! Files of a run: one folder per user, in it one per pipeline, and beside them the files of shared memory.
 
 use crate::file_lock::{Locked, is_shared, lock_within};
 use crate::pause::{PAUSE_FILE, PauseFile};
@@ -15,21 +15,21 @@ use std::path::{Path, PathBuf};
 use std::thread::sleep;
 use std::time::Duration;
 
-/// Environment variable: the user's folder, where the default does not suit.
+/// Environment variable: the user's folder, in place of the default.
 pub const RUNTIME_DIR: &str = "CONICFLOW_RUNTIME_DIR";
 
 /// Name of the plan's file, ...
 pub(crate) const PLAN: &str = "plan.json";
-/// ... and of the plan that was there before a change.
+/// ... and of the previous plan's after a change.
 const PLAN_BEFORE: &str = "plan.json.kept";
 
 /// Stages end by themselves within this time after their launcher was killed.
 pub(crate) const LAST_STAGES_GRACE: Duration = Duration::from_secs(5);
 
-/// Whoever only looks whether a run has the folder holds its lock for a moment; so long if held up in that moment.
+/// A process that only checks whether a run has the folder holds its lock for a moment; at most this long, if it is delayed then.
 const CHECK_GRACE: Duration = Duration::from_secs(5);
 
-/// Why a run has no folder.
+/// Reason why a run has no usable folder.
 #[derive(Debug, thiserror::Error)]
 pub enum FolderError {
     /// The folder could not be made, read or written.
@@ -37,10 +37,11 @@ pub enum FolderError {
     Io {
         /// The file or folder.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the system.
         error: io::Error,
     },
-    /// The folder is another user's: what is written there would be in that one's way, and what is read could be anything.
+    /// The folder belongs to another user: files written there would be in that user's way, and files read could contain
+    /// anything.
     #[error(
         "`{}` belongs to another user\n  hint: do this as that user (`sudo -u '#{owner}' ...`), or set \
          CONICFLOW_RUNTIME_DIR to a folder of your own with mode 700", path.display()
@@ -48,7 +49,7 @@ pub enum FolderError {
     OfAnother {
         /// The folder.
         path: PathBuf,
-        /// The number of its user.
+        /// Numeric id of its user.
         owner: u32,
     },
     /// The folder is open to others.
@@ -69,7 +70,7 @@ pub enum FolderError {
         /// Its name.
         name: String,
     },
-    /// Stages of an earlier run, or stages that were started one by one, are still there.
+    /// Stages of an earlier run, or stages that were started one by one, still run.
     #[error(
         "stages of a pipeline named `{name}` are still running on this machine\n  \
          hint: end them (`pgrep -af \"conicflow node\"` lists them), or give this pipeline another `name`"
@@ -84,17 +85,17 @@ pub enum FolderError {
          hint: build both from the same version"
     )]
     OtherVersion {
-        /// What this program was built with.
+        /// Layout of this program.
         own: u32,
-        /// What the launcher was built with; 0 if it does not say.
+        /// Layout of the launcher; 0 if it does not say.
         launcher: u32,
     },
-    /// The plan of a run makes no sense.
+    /// The plan of a run cannot be parsed.
     #[error("{}: {error}\n  hint: start the pipeline anew with `conicflow run`", path.display())]
     Plan {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Error of the parser.
         error: serde_json::Error,
     },
 }
@@ -113,7 +114,7 @@ pub struct RunFolder {
     shared_memory: PathBuf,
 }
 
-/// Held as long as a run lasts: no other of the same name can start.
+/// Lock of a run, held as long as the run lasts: no other run of the same name can start.
 #[derive(Debug)]
 pub struct RunLock {
     file: Locked,
@@ -121,14 +122,14 @@ pub struct RunLock {
 }
 
 impl RunLock {
-    /// Whether the folder that it locks is there with the plan of its run: nobody but that run removes either.
+    /// Whether the locked folder still exists with the plan of its run. Only that run removes them, or somebody from outside.
     pub(crate) fn is_there(&self) -> bool {
         let is_linked = self.file.0.metadata().is_ok_and(|about| about.nlink() > 0);
         is_linked && self.plan.exists()
     }
 }
 
-/// What to do where the system refuses a file or a folder.
+/// Hint for an error of the system with a file or a folder.
 fn hint_of(error: &io::Error) -> &'static str {
     match error.kind() {
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
@@ -143,17 +144,17 @@ fn hint_of(error: &io::Error) -> &'static str {
 }
 
 impl FolderError {
-    /// What the system says of a file or folder.
+    /// Wraps an error of the system with a file or folder.
     pub(crate) fn at(path: &Path) -> impl Fn(io::Error) -> Self {
         |error| Self::Io { path: path.to_owned(), error }
     }
 }
 
 impl RunFolder {
-    /// The folder of the pipeline `name`, made if it is not there.
+    /// Opens the folder of the pipeline `name`, and creates it if need be.
     ///
     /// # Errors
-    /// It cannot be made, or is open to others.
+    /// It cannot be created, or is open to others.
     pub fn open(name: &str) -> Result<Self, FolderError> {
         let user = user_folder();
         private_folder(&user)?;
@@ -163,10 +164,10 @@ impl RunFolder {
         Ok(Self { path, shared_memory })
     }
 
-    /// The folders of all pipelines that were run, in the folder of their user ([`user_folder`]).
+    /// The folders of all pipelines that were ever run, in the folder of their user ([`user_folder`]).
     ///
     /// # Errors
-    /// The user's folder cannot be read, or is not this user's alone.
+    /// The user's folder cannot be read, or is open to others.
     pub fn all(user: &Path) -> Result<Vec<Self>, FolderError> {
         let (runs, shared_memory) = (user.join("run"), user.join("shm"));
         match check_private(user) {
@@ -183,17 +184,17 @@ impl RunFolder {
         Ok(paths.into_iter().map(|path| Self { path, shared_memory: shared_memory.clone() }).collect())
     }
 
-    /// The folder that iceoryx2 keeps its files in, shared by all pipelines of this user.
+    /// The folder of iceoryx2's files, shared by all pipelines of this user.
     pub fn shared_memory(&self) -> &Path {
         &self.shared_memory
     }
 
-    /// The folder itself.
+    /// Path of the folder.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Makes it known to the other stages that one will not come back.
+    /// Sets the state of a stage in its record, so that the other stages know that it will not come back.
     pub(crate) fn set_life(&self, run: u64, stage: &str, life: Life) {
         if let Ok(mut record) = StatusFile::open(&self.status(stage), run) {
             record.status.set_life(life);
@@ -201,29 +202,29 @@ impl RunFolder {
         }
     }
 
-    /// The file of a stage's record.
+    /// Path of a stage's record.
     pub fn status(&self, stage: &str) -> PathBuf {
         status_path(&self.path, stage)
     }
 
-    /// A stage's record, if it is of this run.
+    /// The record of a stage, if it belongs to this run.
     pub(crate) fn record(&self, stage: &str, run: u64) -> Option<Status> {
         Status::read(&self.status(stage)).filter(|record| record.run == run)
     }
 
-    /// Takes the folder for a run of `name`, as soon as the stages of an earlier run that was cut off are gone.
+    /// Locks the folder for a run of `name`, as soon as the stages of an earlier, aborted run are gone.
     ///
     /// # Errors
-    /// Another run has it, or stages of another run stay.
+    /// Another run has the lock, or stages of another run keep running.
     pub fn lock(&self, name: &str) -> Result<RunLock, FolderError> {
         self.lock_pausing(name, || sleep(Duration::from_millis(10)))
     }
 
-    /// The same, with the pause after which it looks again whether others have let go of it.
+    /// The same; `pause` is called before each new attempt.
     fn lock_pausing(&self, name: &str, mut pause: impl FnMut()) -> Result<RunLock, FolderError> {
         let (path, file) = self.open_lock("lock")?;
         let run = RunLock { file: Locked(file), plan: self.path.join(PLAN) };
-        // Those who only look share it.
+        // Processes that only check share the lock.
         if !lock_within(CHECK_GRACE, &run.file.0, is_shared, &mut pause).map_err(FolderError::at(&path))? {
             return Err(FolderError::Running { name: name.to_owned() });
         }
@@ -235,20 +236,20 @@ impl RunFolder {
         Ok(run)
     }
 
-    /// Whether a run has the folder now.
+    /// Whether a run has the folder's lock now.
     pub(crate) fn is_running(&self) -> bool {
         let file = File::open(self.path.join("lock"));
         file.is_ok_and(|file| matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock)))
     }
 
-    /// What cut a run off that left this folder behind: its plan, if that run neither lasts nor came to its end.
+    /// The plan of an aborted run that left this folder behind; `None` if its run is still going, or ended in order.
     pub(crate) fn cut_off(&self) -> Option<Plan> {
         let plan = self.plan().ok().filter(|_| !self.is_running())?;
         let mut records = plan.stages.iter().filter_map(|stage| self.record(&stage.name, plan.run));
         records.any(|record| matches!(record.life(), Life::Starting | Life::Running)).then_some(plan)
     }
 
-    /// Says that a stage of this pipeline lives in this process, for as long as the file is held.
+    /// Registers this process as a stage of this pipeline, for as long as the file is held.
     ///
     /// # Errors
     /// The folder cannot be written.
@@ -264,7 +265,7 @@ impl RunFolder {
         Ok((path, file))
     }
 
-    /// Removes what earlier runs have left: from now on nobody takes their plan for that of the run that has the lock.
+    /// Removes the plan and the records of earlier runs, so that no process takes them for those of the run that has the lock.
     ///
     /// # Errors
     /// The folder cannot be written.
@@ -277,7 +278,7 @@ impl RunFolder {
         }
     }
 
-    /// Writes the plan of a run, by which others see that it runs: all that they may look into has to be there.
+    /// Creates the pause file, then writes the plan, by which other processes see that the run has begun.
     ///
     /// # Errors
     /// The folder cannot be written.
@@ -287,13 +288,13 @@ impl RunFolder {
         self.write_whole(PLAN, plan)
     }
 
-    /// The word by which the sources of a run are paused, where there is one.
+    /// The pause switch of a run's sources, where there is one.
     pub(crate) fn pause_file(&self, run: u64) -> Option<PauseFile> {
         PauseFile::open(&self.path.join(PAUSE_FILE), run).ok()
     }
 
-    /// Notes that a run is over as its launcher saw it: what is left was not cut off, and nobody comes back for it. Where
-    /// that cannot be written the next run sees to it.
+    /// Records that a run is over as its launcher saw it: its stages then do not count as aborted, and are not restarted. Where
+    /// that cannot be written, the next run does it.
     pub(crate) fn settle(&self, plan: &Plan) {
         for stage in &plan.stages {
             let record = self.record(&stage.name, plan.run);
@@ -308,7 +309,7 @@ impl RunFolder {
         }
     }
 
-    /// Removes what a run has left that is over; the locks stay.
+    /// Removes the plan and the records of a run that is over; the locks stay.
     ///
     /// # Errors
     /// A run has the folder, or it cannot be written.
@@ -330,7 +331,7 @@ impl RunFolder {
         Ok(())
     }
 
-    /// Writes another plan, and keeps the one that is there; where it cannot be written, that one stays.
+    /// Replaces the plan, and keeps the previous one; on an error that one stays in place.
     ///
     /// # Errors
     /// The folder cannot be written.
@@ -341,7 +342,7 @@ impl RunFolder {
         self.write_whole(PLAN, plan)
     }
 
-    /// Brings the plan from before the last change back, which takes no room on a disk.
+    /// Restores the plan from before the last change, which needs no room on the disk.
     ///
     /// # Errors
     /// There is none.
@@ -353,7 +354,7 @@ impl RunFolder {
     /// Reads the plan of the run.
     ///
     /// # Errors
-    /// There is none, or it makes no sense.
+    /// There is none, or it cannot be parsed.
     pub fn plan(&self) -> Result<Plan, FolderError> {
         self.read_plan(PLAN)
     }
@@ -361,7 +362,7 @@ impl RunFolder {
     /// Reads the plan in a file of the folder.
     ///
     /// # Errors
-    /// There is none, or it makes no sense.
+    /// There is none, or it cannot be parsed.
     pub(crate) fn read_plan(&self, file: &str) -> Result<Plan, FolderError> {
         let path = self.path.join(file);
         let text = fs::read(&path).map_err(FolderError::at(&path))?;
@@ -373,14 +374,14 @@ impl RunFolder {
     }
 }
 
-/// The folder of this user in which all runs have theirs, whether it is there or not.
+/// The folder that has all runs of this user, whether it exists or not.
 pub fn user_folder() -> PathBuf {
     let path_in = |variable: &str| std::env::var_os(variable).map(PathBuf::from);
     let path = user_folder_of(path_in(RUNTIME_DIR), path_in("XDG_RUNTIME_DIR"));
     std::path::absolute(&path).unwrap_or(path)
 }
 
-/// The user's folder: the one that was asked for, or one in that which the system has for this login, where there is one.
+/// Chooses the user's folder: the configured one, else one in the system's folder of this login, else one in /tmp.
 fn user_folder_of(wanted: Option<PathBuf>, of_login: Option<PathBuf>) -> PathBuf {
     if let Some(path) = wanted.filter(|path| !path.as_os_str().is_empty()) {
         return path;
@@ -391,16 +392,16 @@ fn user_folder_of(wanted: Option<PathBuf>, of_login: Option<PathBuf>) -> PathBuf
     }
 }
 
-/// Makes a folder that only this user can enter, and makes sure that it is one.
+/// Creates a folder that only this user can enter, and checks that it is one.
 fn private_folder(path: &Path) -> Result<(), FolderError> {
     fs::DirBuilder::new().recursive(true).mode(0o700).create(path).map_err(FolderError::at(path))?;
     check_private(path)
 }
 
-/// Makes sure that only this user can enter a folder.
+/// Checks that only this user can enter a folder.
 ///
 /// # Errors
-/// It is not there, is no folder, or is open to others.
+/// It does not exist, is not a folder, or is open to others.
 pub(crate) fn check_private(path: &Path) -> Result<(), FolderError> {
     let data = fs::metadata(path).map_err(FolderError::at(path))?;
     if !data.is_dir() {
@@ -422,7 +423,7 @@ pub(super) mod tests {
     use super::*;
     use crate::pause::PauseRequest;
 
-    /// The run's folder at this place.
+    /// The run's folder at this path.
     pub fn folder_at(path: &Path) -> RunFolder {
         RunFolder { path: path.to_owned(), shared_memory: path.join("shm") }
     }

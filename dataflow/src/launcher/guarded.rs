@@ -1,9 +1,9 @@
-//! A stage's process, with what it has started: when the one is over, so is the other.
+//! Process of a stage, with the processes that it has started: when it ends, so do they.
 //!
-//! A program of one's own may start others and leave them behind. They are in its process group, if they have not left that to be
-//! on their own. A shell in the same group waits until its standard input is closed and the program has ended, and then kills the
-//! group. The launcher closes that input when the program has ended, and the system does so when the launcher was killed. While
-//! the shell is there, nobody else's process or group has the number of this one.
+//! A program may start other processes and leave them behind. They are in its process group, unless they have left it. A shell in
+//! the same group waits until its standard input is closed and the program has ended, and then kills the group. The launcher
+//! closes that input when the program has ended, and the system does when the launcher is killed. While the shell exists, no
+//! other process or group can get the id of this one.
 
 use crate::plan::{PlannedStage, Runs};
 use rustix::process::{Pid, Signal, kill_process};
@@ -11,25 +11,25 @@ use std::io;
 use std::os::unix::process::CommandExt;
 use std::process::{Child, Command, Stdio};
 
-/// Waits for the end of its input, and up to five seconds, in which a stage ends by itself when its launcher was killed, for that
-/// of the process that it is told; then it kills the group that it is in.
+/// Shell script: waits for the end of its input, then up to five seconds for the process with the id `$1`, as a stage ends by
+/// itself when its launcher was killed; then kills its own group.
 const KILL_GROUP_AT_END: &str = "read -r _; looks=0; \
     while [ $looks -lt 50 ] && kill -s 0 \"$1\" 2>/dev/null; do sleep 0.1; looks=$((looks + 1)); done; kill -s KILL 0";
 
-/// A stage's process; what it has started ends when this is dropped.
+/// Process of a stage; processes that it has started end when this is dropped.
 pub(crate) struct Guarded {
     pub(crate) child: Child,
     _guard: Option<Guard>,
 }
 
 impl Guarded {
-    /// Starts the process of a stage, which is to lead a group of its own.
+    /// Starts the process of a stage, which has to lead its own process group.
     ///
     /// # Errors
-    /// It, or what guards it, cannot be started; then neither runs.
+    /// The process or its guard cannot be started; then neither runs.
     pub(crate) fn start(command: &mut Command, planned: &PlannedStage) -> io::Result<Self> {
         let mut child = command.spawn()?;
-        // Built-in nodes start nothing.
+        // Built-in nodes start no processes.
         let guard = matches!(planned.runs, Runs::Command(_)).then(|| Guard::of(&child)).transpose();
         match guard {
             Ok(guard) => Ok(Self { child, _guard: guard }),
@@ -65,7 +65,7 @@ impl Drop for Guard {
     fn drop(&mut self) {
         drop(self.0.stdin.take());
         if let Some(guard) = Pid::from_raw(self.0.id().cast_signed()) {
-            // The group may be stopped.
+            // The group may be suspended.
             kill_process(guard, Signal::CONT).ok();
         }
         self.0.wait().ok();
@@ -81,7 +81,8 @@ mod tests {
     use std::io::{BufRead, BufReader, Read};
     use std::process::ChildStdout;
 
-    /// A program that says `ready` when it has started another one, which keeps its output open; and that output.
+    /// Starts a program that prints `ready` when it has started another process, which keeps its output open. Returns that
+    /// output, too.
     fn parent() -> (Guarded, BufReader<ChildStdout>) {
         let planned = PlannedStage { runs: Runs::Command(vec!["sh".into()]), ..stage::<Object>() };
         let mut command = Command::new("sh");

@@ -1,7 +1,7 @@
-//! Starts the stages of a plan as processes, keeps them alive, and ends them in order.
+//! Starts the stages of a plan as processes, supervises them, and ends them in order.
 //!
-//! A run ends when all its stages have: because the sources are exhausted, the time is over, someone asks for it, or a stage
-//! is lost. It then stops the sources, lets what is under way be delivered, and presses harder as time passes.
+//! A run ends when all its stages have: because the sources are exhausted, its time is over, a user asks for it, or a stage is
+//! lost. It then stops the sources, lets messages in flight be delivered, and escalates with time.
 
 mod child;
 mod folder;
@@ -46,36 +46,36 @@ use std::time::{Duration, Instant};
 use swap::Swap;
 
 const STAGE_CHECK_PERIOD: Duration = Duration::from_millis(100);
-/// How often it looks whether what the stages share is still there, and what of it was only begun.
+/// Period of the checks that the shared memory still exists, and that its files are complete.
 const SHARED_MEMORY_CHECK_PERIOD: Duration = Duration::from_secs(1);
-/// How often the launcher looks while a stage is being replaced.
+/// Period of the checks while a stage is being replaced.
 const SWAP_CHECK_PERIOD: Duration = Duration::from_millis(2);
-/// A run in which nothing moves for this long, while a stage waits for another, is told of.
+/// A run in which nothing moves for this long, while a stage waits for another, is reported as stalled.
 const STANDSTILL: Duration = Duration::from_secs(10);
 
-/// Why a run could not begin.
+/// Reason why a run could not begin.
 #[derive(Debug, thiserror::Error)]
 pub enum LaunchError {
-    /// The run's folder.
+    /// The run's folder cannot be used.
     #[error(transparent)]
     Folder(#[from] FolderError),
-    /// A process.
+    /// A process could not be started.
     #[error(transparent)]
     Process(#[from] ProcessError),
-    /// The shared memory.
+    /// The shared memory cannot be used.
     #[error(transparent)]
     Port(#[from] PortError),
-    /// The machine has too little of something.
+    /// The machine has too little of a resource.
     #[error(transparent)]
     InsufficientResource(#[from] InsufficientResource),
-    /// Signals.
+    /// Signals cannot be received.
     #[error("signals cannot be received: {reason}\n  hint: {hint}", reason = .0, hint = process::hint_of(.0))]
     Signals(std::io::Error),
 }
 
 impl LaunchError {
-    /// The exit code of a program that could not begin the run: 1 for what the system refuses, 2 for what is wrong with
-    /// the file, the arguments or the machine.
+    /// Exit code of a program that could not begin the run: 1 for errors of the system, 2 for errors in the file, the arguments
+    /// or the machine.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Process(error) => error.exit_code(),
@@ -88,14 +88,14 @@ impl LaunchError {
 /// Runs a plan to its end.
 ///
 /// # Errors
-/// What kept it from beginning; that a stage was lost later is told by [`Summary::is_complete`].
+/// The run could not begin. A stage that is lost later is reported by [`Summary::is_complete`].
 pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
     let folder = RunFolder::open(&plan.pipeline)?;
     let lock = folder.lock(&plan.pipeline)?;
-    // A signal that ended this process from here on would leave behind what it has made.
+    // From here on a signal must not end this process, as its files would be left behind.
     let signals = signals()?;
     let requirements = Requirements::of(plan, options.nodes);
-    // Shared memory itself needs some; what dead runs have left of it is room, once it is removed.
+    // Shared memory needs open files itself. Leftovers of dead runs count as free room once they are removed.
     requirements.short_of_files().map_or(Ok(()), Err)?;
     SharedMemory::clean(folder.shared_memory())?;
     requirements.insufficient().into_iter().try_for_each(Err)?;
@@ -104,7 +104,7 @@ pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
     let memory = SharedMemory::open(folder.shared_memory(), &plan.namespace(), "launcher", Stop::default())?;
     let services = memory.kept_in(folder.path()).keep_services(plan.topics())?;
     for_stages.keep_later_ones();
-    // Whoever looks on from outside may come as soon as there is a plan.
+    // Onlookers may come as soon as there is a plan.
     folder.begin(plan)?;
     let mut launcher = Launcher::new(plan.clone(), folder, options, signals);
     let ended = launcher.supervise(&services, &lock);
@@ -114,7 +114,7 @@ pub fn run(plan: &Plan, options: &RunOptions) -> Result<Summary, LaunchError> {
     launcher.folder.settle(&launcher.plan);
     drop(services);
     let cleaned = SharedMemory::clean(launcher.folder.shared_memory());
-    // Of a folder that was removed nobody can tell what dead processes have left; `doctor` looks for it.
+    // If the folder was removed, its leftovers cannot be found here; `doctor` finds them.
     if !launcher.is_removed {
         cleaned?;
     }
@@ -129,30 +129,30 @@ struct Launcher<'a> {
     swap: Option<Swap>,
     signals: Receiver<i32>,
     phase: Phase,
-    /// Asked a second time to end: what is under way need not be delivered.
+    /// A second request to end was received: messages in flight need not be delivered.
     hurried: bool,
-    /// Why the stages were told to end although not all was delivered.
+    /// Reason why the stages were ended although not all was delivered.
     stalled: Option<String>,
-    /// When something last moved.
+    /// Last progress.
     moved: Option<Movement>,
     progress: Progress,
     started: Instant,
-    /// How long it was not paused, up to the last look.
+    /// Time for which the run was not paused, up to the last check.
     went_on: Duration,
     looked: Instant,
-    /// When it was last seen to that what the stages share is there and whole.
+    /// Time of the last check of the shared memory.
     looked_after_shared: Instant,
-    /// Whether that, or its folder, was removed.
+    /// Whether the shared memory, or the run's folder, was removed.
     is_removed: bool,
 }
 
-/// When something last moved in a run.
+/// Last progress of a run.
 #[derive(Clone, Copy)]
 struct Movement {
-    /// How many messages had been worked on by then, by all stages together.
+    /// Number of messages processed by all stages together at that time.
     worked_on: u64,
     since: Instant,
-    /// Whether it was told that nothing has since.
+    /// Whether the lack of progress since then was reported.
     is_told: bool,
 }
 
@@ -184,7 +184,7 @@ impl<'a> Launcher<'a> {
         }
         while !self.stages.iter().all(Supervised::is_over) {
             self.wait_for_events();
-            // What is missing from its stages' records may have been removed with them.
+            // Records may be missing because the folder was removed: that is checked before the stages are.
             self.look_after_shared(services, lock);
             self.replace();
             self.look_at_stages();
@@ -198,7 +198,7 @@ impl<'a> Launcher<'a> {
         Ok(())
     }
 
-    /// Sleeps until a signal comes or a look is due; each request to end presses harder than the one before.
+    /// Sleeps until a signal comes or a check is due; each request to end escalates.
     fn wait_for_events(&mut self) {
         let look = if self.swap.is_some() { SWAP_CHECK_PERIOD } else { STAGE_CHECK_PERIOD };
         match self.signals.recv_timeout(look) {
@@ -215,15 +215,15 @@ impl<'a> Launcher<'a> {
         }
     }
 
-    /// Stops with all stages, and goes on with them, as a job of a shell does: they are in groups of their own, and hear of neither
-    /// Ctrl-Z nor `fg`.
+    /// Suspends all stages and this process, and resumes them together, like a job of a shell. The stages have process groups of
+    /// their own, which Ctrl-Z and `fg` do not reach.
     fn stop_until_told(&mut self) {
         self.stages.iter().for_each(|stage| stage.signal_group(Signal::STOP));
-        // Where the system refuses it, the run goes on at once.
+        // If the system refuses to suspend it, the run goes on at once.
         let stop = || drop(emulate_default_handler(SIGTSTP));
         self.options.around_stop.map_or_else(stop, |around| around(&stop));
         self.stages.iter().for_each(|stage| stage.signal_group(Signal::CONT));
-        // Time in which it stood is none of the run.
+        // The time of the suspension does not count as time of the run.
         let now = Instant::now();
         (self.looked, self.moved) = (now, None);
         if let Phase::Delivering { since, .. } | Phase::Stopping { since } = &mut self.phase {
@@ -231,7 +231,7 @@ impl<'a> Launcher<'a> {
         }
     }
 
-    /// Goes on with the swap that is under way, or begins one that was asked for.
+    /// Advances the current swap, or begins a requested one.
     fn replace(&mut self) {
         let Self { plan, folder, options, stages, swap, phase, is_removed, .. } = self;
         let mut run = RunState { plan, folder, options, phase: *phase, is_removed: *is_removed };
@@ -258,13 +258,13 @@ impl<'a> Launcher<'a> {
         }
     }
 
-    /// Whether all sinks are over: what the others still make would be for nobody.
+    /// Whether all sinks are over, so that nobody needs further messages.
     fn nobody_reads(&self) -> bool {
         let mut sinks = self.stages.iter().filter(|stage| stage.planned.is_sink()).peekable();
         sinks.peek().is_some() && sinks.all(Supervised::is_over)
     }
 
-    /// Goes on to the next phase when the time of this one is over.
+    /// Enters the next phase when the time of this one is over.
     fn press(&mut self) {
         let now = Instant::now();
         match self.phase.due(now, self.went_on, self.options.duration, || self.delivered()) {
@@ -276,8 +276,8 @@ impl<'a> Launcher<'a> {
         }
     }
 
-    /// Removes what a stage was killed over while it made that. Ends the run in order where its folder, or what its stages share,
-    /// was removed: one that is started anew would not find the others.
+    /// Removes files whose maker was killed before they were complete. Ends the run in order if its folder or its shared memory
+    /// was removed: a restarted stage would not find the others.
     fn look_after_shared(&mut self, services: &ServiceKeeper, lock: &RunLock) {
         if self.is_removed {
             return;
@@ -313,7 +313,7 @@ impl<'a> Launcher<'a> {
         }
     }
 
-    /// Time in which the run is paused is none of the time that it is to last.
+    /// Excludes time in which the run is paused from its duration.
     fn look_for_pause(&mut self, summary: &Summary) {
         let passed = self.looked.elapsed();
         self.looked += passed;
@@ -321,7 +321,7 @@ impl<'a> Launcher<'a> {
         self.went_on += if is_paused { Duration::ZERO } else { passed };
     }
 
-    /// Tells, once each time that it happens, who waits for whom in a run that stands still.
+    /// Logs once per stall which stages wait for which.
     fn look_for_standstill(&mut self, summary: &Summary) {
         let now = Movement { worked_on: summary.worked_on(), since: Instant::now(), is_told: false };
         let stands = matches!(self.phase, Phase::Running) && summary.is_held_up();
@@ -335,7 +335,7 @@ impl<'a> Launcher<'a> {
         }
     }
 
-    /// Ends at once a run that no longer comes to its end by itself.
+    /// Ends a run at once that has stalled on its way to its end.
     fn end_stalled(&mut self) {
         let left = self.stages.iter().filter(|stage| !stage.is_over());
         let left: Vec<_> = left.map(|stage| format!("`{}`", stage.planned.name)).collect();
@@ -365,8 +365,8 @@ impl<'a> Launcher<'a> {
         self.stages.iter_mut().for_each(Supervised::kill);
     }
 
-    /// How far the delivery is: messages that have been worked on, stages that are over, and processes that came to work or took
-    /// the place of one that had, as they may have to wait for others as that one had.
+    /// Progress of the delivery: the number of messages processed, of stages that are over, and of processes that came to work or
+    /// replaced one that had, as a replacement may have to wait as long again.
     fn delivered(&self) -> u64 {
         let of_stage = |stage: &Supervised| stage.turns() + u64::from(stage.is_over());
         self.summary().worked_on() + self.stages.iter().map(of_stage).sum::<u64>()
@@ -416,7 +416,7 @@ mod tests {
         }
     }
 
-    /// A launcher of stages that have worked on 3 and 4 messages, of which the second is over.
+    /// A launcher whose two stages have processed 3 and 4 messages; the second is over.
     fn launcher<'a>(files: &Path, options: &'a RunOptions, phase: Phase) -> Launcher<'a> {
         let folder = folder_at(files);
         let named = |name: &str| PlannedStage { name: name.to_owned(), ..stage::<Object>() };

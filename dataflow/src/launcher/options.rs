@@ -1,22 +1,22 @@
-//! What whoever runs a pipeline says beside its file.
+//! Options of a run that are not in the pipeline file.
 
 use crate::node::Node;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// How a run is to be.
+/// Options of a run.
 #[derive(Clone, Default)]
 pub struct RunOptions {
-    /// The program that runs stages: it has to know `node STAGE`.
+    /// The program that runs stages; it needs the command `node STAGE`.
     pub program: PathBuf,
-    /// What tells how much room the messages of its sources need.
+    /// Nodes, which give the message lengths of sources.
     pub nodes: &'static [Node],
-    /// It ends after this time.
+    /// Time after which the run ends.
     pub duration: Option<Duration>,
-    /// No progress is shown.
+    /// Whether to show no progress.
     pub quiet: bool,
-    /// What its stages log, as they understand [`LOG`](crate::LOG); `None`: what they inherit.
+    /// Log filter of the stages, as [`LOG`](crate::LOG) describes; `None`: the inherited one.
     pub log: Option<String>,
-    /// Called at Ctrl-Z with what stops the run and returns when it goes on, to be called once.
+    /// Called at Ctrl-Z with a function that suspends the run and returns when it is resumed; it has to call that once.
     pub around_stop: Option<fn(&dyn Fn())>,
 }

@@ -1,36 +1,36 @@
-//! The phases in which a run comes to its end, and what is due in each.
+//! The phases in which a run ends, and the action that is due in each.
 
 use std::time::{Duration, Instant};
 
-/// An ending run in which nothing is delivered any more, and no stage ends or is started anew, for this long is ended at once. A
-/// writer waits five seconds for readers that may still come, before it ends.
+/// An ending run is ended at once after this long without progress: no delivery, and no stage that ends or restarts. It exceeds
+/// the five seconds for which a writer waits for readers before it ends.
 pub(super) const DELIVERY_GRACE: Duration = Duration::from_secs(7);
-/// Stages that were told to end at once are killed after this time.
+/// Stages that were asked to end at once are killed after this time.
 const KILL_GRACE: Duration = Duration::from_secs(5);
 
-/// How hard the run presses for its end.
+/// Phase of a run.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Phase {
     Running,
-    /// The sources were stopped; something was delivered last at that time.
+    /// The sources were stopped; `since` is the time of the last delivery.
     Delivering {
         delivered: u64,
         since: Instant,
     },
-    /// All stages were told to end at once.
+    /// All stages were asked to end at once.
     Stopping {
         since: Instant,
     },
     Killing,
 }
 
-/// What is due in a phase.
+/// Action that is due in a phase.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Due {
     Nothing,
-    /// The run has lasted as long as it was to.
+    /// The run has reached its duration.
     StopSources,
-    /// So much is delivered by now, which is more than before.
+    /// This much was delivered by now, more than before.
     WaitForMore(u64),
     /// Nothing was delivered for too long.
     EndStalled,
@@ -38,8 +38,8 @@ pub(crate) enum Due {
 }
 
 impl Phase {
-    /// What is due at the time `now` in a run that has gone on for `went_on` and is to go on for `limit`; `delivered` tells how
-    /// far the delivery is.
+    /// The action due at the time `now` in a run that has gone on for `went_on` of its duration `limit`; `delivered` returns the
+    /// progress of the delivery.
     pub(crate) fn due(
         self,
         now: Instant,

@@ -1,4 +1,4 @@
-//! A stage as a process of its own: finds its place in the plan, opens what it needs, and runs until it is done or told.
+//! Process of a stage: finds its place in the plan, opens its ports, and runs until its work is done or a signal ends it.
 
 use super::folder::{FolderError, PLAN, RUNTIME_DIR, RunFolder, user_folder};
 use super::options::RunOptions;
@@ -40,16 +40,16 @@ pub(crate) const LAUNCHER: &str = "CONICFLOW_LAUNCHER";
 /// Environment variable: the file of the plan in the run's folder.
 const PLAN_FILE: &str = "CONICFLOW_PLAN";
 
-/// Exit code of a stage that could not be made ready: to start it anew would not help.
+/// Exit code of a stage that could not be started: a restart would not help.
 pub(crate) const REFUSED: u8 = 2;
 
-/// A stage that is told to end at once, and cannot, is ended after this time.
+/// A stage that has not ended this long after SIGTERM exits by force.
 const LAST_GRACE: Duration = Duration::from_secs(3);
 
-/// Why a stage's process could not begin or go on.
+/// Reason why a stage's process could not start or go on.
 #[derive(Debug, thiserror::Error)]
 pub enum ProcessError {
-    /// The run's folder.
+    /// The run's folder cannot be used.
     #[error(transparent)]
     Folder(#[from] FolderError),
     /// The stage failed.
@@ -58,7 +58,7 @@ pub enum ProcessError {
     /// The bridge failed.
     #[error(transparent)]
     Bridge(#[from] NetworkError),
-    /// The program that carries edges between machines.
+    /// The program of a stage or of the bridge cannot be found or configured.
     #[error(transparent)]
     Settings(#[from] Hinted),
     /// There is no such stage in the plan.
@@ -76,12 +76,12 @@ pub enum ProcessError {
          place of `uv run` the Python of its environment, `.venv/bin/python`; in a shell `exec`"
     )]
     Between(String),
-    /// Something of the operating system.
+    /// A system call failed.
     #[error("{doing}: {error}\n  hint: {}", hint_of(error))]
     System {
         /// What was being done.
         doing: String,
-        /// What the system said.
+        /// Error of the system.
         error: io::Error,
     },
     /// The process is not part of a run.
@@ -92,7 +92,7 @@ pub enum ProcessError {
     NoRun(&'static str),
 }
 
-/// What to do where a process or a thread cannot be started.
+/// Hint for a process or a thread that cannot be started.
 pub(super) fn hint_of(error: &io::Error) -> &'static str {
     match Errno::from_io_error(error) {
         Some(Errno::AGAIN) => {
@@ -108,7 +108,7 @@ pub(super) fn hint_of(error: &io::Error) -> &'static str {
 }
 
 impl ProcessError {
-    /// The exit code that tells the launcher whether to try again.
+    /// Exit code; from it the launcher knows whether a restart may help.
     pub fn exit_code(&self) -> u8 {
         use PortError::{Incompatible, PathTooLong, PathUnusable};
         match self {
@@ -123,8 +123,8 @@ impl ProcessError {
     }
 }
 
-/// What runs a stage: `options.program`, whose environment tells it which stage it is, by the plan in the file `plan_file`
-/// of the run's folder. It finds that folder whatever the stage's own variables, and the folder in which it works, say of others.
+/// Command that runs a stage: `options.program`, with the stage and the file of its plan (`plan_file` in the run's folder) in its
+/// environment. [`RUNTIME_DIR`] is made absolute, so that the stage finds that folder from any working directory.
 pub(crate) fn as_stage(planned: &PlannedStage, plan: &Plan, plan_file: &str, options: &RunOptions) -> Command {
     let mut command = Command::new(&options.program);
     command
@@ -138,8 +138,8 @@ pub(crate) fn as_stage(planned: &PlannedStage, plan: &Plan, plan_file: &str, opt
     command
 }
 
-/// Makes this process the stage `name` of a plan that nobody launches, with the environment that a launcher would give it;
-/// comes back only with what kept it from that.
+/// Makes this process the stage `name` of a plan without a launcher, with the environment that a launcher would set. Returns only
+/// on failure.
 pub fn become_stage(plan: &Plan, name: &str, options: &RunOptions) -> ProcessError {
     match alone(plan, name, options) {
         Ok(mut command) => system(&format!("stage `{name}` cannot be started"), command.exec()),
@@ -147,14 +147,14 @@ pub fn become_stage(plan: &Plan, name: &str, options: &RunOptions) -> ProcessErr
     }
 }
 
-/// What runs a stage that nobody launches, after its plan was written.
+/// Writes the plan of a stage that runs without a launcher, and returns the command that runs it.
 fn alone(plan: &Plan, name: &str, options: &RunOptions) -> Result<Command, ProcessError> {
     let planned = plan.stage(name).ok_or_else(|| ProcessError::NoStage(name.to_owned()))?;
     let folder = RunFolder::open(&plan.pipeline)?;
     if folder.is_running() {
         return Err(FolderError::Running { name: plan.pipeline.clone() }.into());
     }
-    // A file of its own: stages that are started at the same time do not meet in it.
+    // Each stage has its own plan file, so that stages started at the same time do not overwrite each other's.
     let plan_file = format!("{name}.plan");
     folder.write_whole(&plan_file, plan)?;
     let mut command = as_stage(planned, plan, &plan_file, options);
@@ -162,7 +162,7 @@ fn alone(plan: &Plan, name: &str, options: &RunOptions) -> Result<Command, Proce
     Ok(command)
 }
 
-/// What the process of a stage does.
+/// Work of a stage's process.
 enum Work<'a> {
     /// It runs a node of the table.
     Node(&'static Variant),
@@ -172,7 +172,7 @@ enum Work<'a> {
     Program(Vec<String>),
 }
 
-/// What is to be done for a stage by a program with these nodes and this network part.
+/// Finds the work of a stage for a program with these nodes and this network part.
 fn work_of<'a>(
     planned: &'a PlannedStage,
     base: &Path,
@@ -227,27 +227,27 @@ pub fn run_stage<S: Stage>() -> ExitCode {
     exit_code(run_own(Node::stage::<S>()))
 }
 
-/// Takes the place of the stage that the launcher started this program for, to ask for its messages; see [`PulledStage`]. It logs
-/// as [`run_stage`] does. `None`: it is a successor that is not wanted any more.
+/// Joins the run as the stage that the launcher started this program for, and pulls its messages; see [`PulledStage`]. It logs as
+/// [`run_stage`] does. `None`: this process is a successor that is no longer wanted.
 ///
 /// # Errors
-/// What keeps it from its place, or this process is not part of a run.
+/// It cannot take its place, or this process is not part of a run.
 pub fn join_as_stage(same_frame: &[String]) -> Result<Option<PulledStage>, ProcessError> {
     let (parameters, runtime) = join()?;
     Ok(PulledStage::open(runtime, parameters, same_frame)?)
 }
 
-/// Takes the place of a source as [`join_as_stage`] takes that of a stage; see [`PulledSource`]. It makes `total` messages in
-/// all, where that is known, and no more in a second than its parameter `rate_hz` says, where it has one.
+/// Joins the run as a source, as [`join_as_stage`] does as a stage; see [`PulledSource`]. `total` is the number of its messages,
+/// where known; its parameter `rate_hz`, where it has one, limits the rate.
 ///
 /// # Errors
-/// What keeps it from its place, or this process is not part of a run.
+/// It cannot take its place, or this process is not part of a run.
 pub fn join_as_source(total: Option<u64>) -> Result<Option<PulledSource>, ProcessError> {
     let (parameters, runtime) = join()?;
     Ok(PulledSource::open(runtime, parameters, total)?)
 }
 
-/// The parameters of the stage that this process was started for, and all that it runs with.
+/// Parameters and runtime of the stage that this process was started for.
 fn join() -> Result<(Json, StageRuntime<SharedMemory>), ProcessError> {
     let (plan, folder, stage) = own_place()?;
     log_to_standard_error(&std::env::var(LOG).unwrap_or_else(|_| DEFAULT_LOG.to_owned()));
@@ -260,7 +260,7 @@ fn exit_code(ended: Result<(), ProcessError>) -> ExitCode {
     match ended {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            // Whether anybody reads it is not the stage's concern.
+            // A closed standard error is not the stage's concern.
             writeln!(io::stderr(), "{}", error_text(&error)).ok();
             error.exit_code().into()
         }
@@ -270,7 +270,7 @@ fn exit_code(ended: Result<(), ProcessError>) -> ExitCode {
 /// Runs a stage of the run that this process was started in.
 ///
 /// # Errors
-/// What kept the stage from beginning, or ended it; or this process is not part of a run.
+/// The stage could not start, or it failed; or this process is not part of a run.
 pub fn run_in_run(registry: &Registry) -> Result<(), ProcessError> {
     let (plan, folder, stage) = own_place()?;
     die_with_launcher(&stage, launcher())?;
@@ -291,7 +291,7 @@ fn run_own(node: Node) -> Result<(), ProcessError> {
     run_planned(&plan, &folder, &stage, &[node], None)
 }
 
-/// What is wrong with what the pipeline file says of a stage, and only the stage's own program can know.
+/// Finds a fault in the stage's parameters or further inputs that only the stage's own program can detect.
 fn fault_of(node: &Node, planned: &PlannedStage, base: &Path) -> Option<Hinted> {
     let fault = fault_by(&node.schema(), "parameters", &planned.parameters);
     if fault.is_some() {
@@ -334,7 +334,7 @@ fn launcher() -> Option<Pid> {
     Pid::from_raw(std::env::var(LAUNCHER).ok()?.parse().ok()?)
 }
 
-/// Sees to it that this process ends when the launcher does, however that ends; a stage that was started by itself has none.
+/// Makes this process end with its launcher, even on SIGKILL of the launcher. A stage started by itself has no launcher.
 fn die_with_launcher(stage: &str, launcher: Option<Pid>) -> Result<(), ProcessError> {
     let Some(launcher) = launcher else { return Ok(()) };
     // Without this signal the launcher could leave an orphan, but not a wrong result.
@@ -343,7 +343,7 @@ fn die_with_launcher(stage: &str, launcher: Option<Pid>) -> Result<(), ProcessEr
         return Ok(());
     }
     if test_kill_process(launcher).is_err() {
-        std::process::exit(i32::from(REFUSED)); // nobody is there any more to be told
+        std::process::exit(i32::from(REFUSED)); // the launcher is gone, nobody reads an error
     }
     Err(ProcessError::Between(stage.to_owned()))
 }
@@ -353,7 +353,7 @@ fn become_program(plan: &Plan, planned: &PlannedStage, command: &[String]) -> Pr
         return ProcessError::NoNode(planned.name.clone());
     };
     if launcher().is_some() {
-        // It may not know what SIGTERM is meant for.
+        // It may not handle SIGTERM.
         set_parent_process_death_signal(Some(Signal::KILL)).ok();
     }
     let error = Command::new(program).args(arguments).current_dir(&plan.base).exec();
@@ -389,14 +389,14 @@ fn stage_runtime(
         pause: Pause::obey(folder.pause_file(plan.run)),
         lock,
     };
-    // The record is that of the predecessor until its successor's turn comes.
+    // The record belongs to the predecessor until the successor takes over.
     if runtime.successor.is_none() {
         runtime.enter();
     }
     Ok(runtime)
 }
 
-/// What a stage of a plan is told when it starts, before it knows what drives it.
+/// Context of a stage at its start, before its input is known.
 fn context_of(plan: &Plan, planned: &PlannedStage, stop: Stop) -> Context {
     Context { stage: planned.name.clone(), base: plan.base.clone(), run: plan.run, stop, ..Context::default() }
 }
@@ -405,8 +405,8 @@ fn system(doing: &str, error: io::Error) -> ProcessError {
     ProcessError::System { doing: doing.to_owned(), error }
 }
 
-/// Heeds the signals that a launcher sends; the thread that listens sees to it that SIGTERM ends the stage. That a file may not
-/// become larger (SIGXFSZ) is told by the error of who writes it.
+/// Starts the thread that handles the launcher's signals and enforces SIGTERM. SIGXFSZ is caught so that a write beyond the limit
+/// of file sizes returns an error.
 fn listen_for_signals(stop: Stop, is_source: bool) -> Result<(), ProcessError> {
     let fault = |error| system("signals cannot be received", error);
     let mut signals = Signals::new([SIGINT, SIGTERM, SIGUSR1, SIGXFSZ]).map_err(fault)?;
@@ -415,7 +415,7 @@ fn listen_for_signals(stop: Stop, is_source: bool) -> Result<(), ProcessError> {
             heed(signal, &stop, is_source);
             if signal == SIGTERM {
                 std::thread::sleep(LAST_GRACE);
-                std::process::exit(128 + SIGTERM); // as a shell tells that a signal has ended a process
+                std::process::exit(128 + SIGTERM); // exit code of a process that a signal has ended, as a shell reports it
             }
         }
     };
@@ -423,8 +423,8 @@ fn listen_for_signals(stop: Stop, is_source: bool) -> Result<(), ProcessError> {
     builder.spawn(listen).map(drop).map_err(fault)
 }
 
-/// SIGINT ends the stage in order, SIGTERM at once. SIGUSR1 makes it leave its place to another process; a source then makes no
-/// further message.
+/// SIGINT ends the stage in order, SIGTERM at once. SIGUSR1 makes it hand its place to a successor; a source then stops making
+/// messages.
 fn heed(signal: i32, stop: &Stop, is_source: bool) {
     if signal == SIGUSR1 {
         stop.leave();
@@ -453,7 +453,7 @@ mod tests {
     use serde::{Deserialize, Serialize};
     use serde_json::json;
 
-    /// What is done for a stage: what the node makes that is run, the machine whose edges are carried, or the program.
+    /// Describes the work of a stage: the node's result, the machine of the bridge, or the program.
     fn done(runs: Runs, nodes: &[Node], carrier: Option<Carrier>) -> Result<String, String> {
         let planned = PlannedStage { runs, parameters: Json::from(5), ..stage::<Object>() };
         let network = carrier.map(|carrier| {
@@ -554,7 +554,7 @@ mod tests {
         assert!(matches!(other, Err(ProcessError::NoStage(name)) if name == "other"));
     }
 
-    /// Counts objects of a least radius.
+    /// Stage for tests that checks its parameters.
     struct Sieve;
 
     #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]

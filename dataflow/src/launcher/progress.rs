@@ -1,4 +1,4 @@
-//! Shows how far a run is: one line that is rewritten on a terminal, a line now and then without one.
+//! Shows the progress of a run: one line that is rewritten on a terminal, or a line every ten seconds elsewhere.
 
 use super::summary::Summary;
 use crate::log::CLEAR_LINE;
@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 const ON_A_TERMINAL: Duration = Duration::from_millis(250);
 const IN_A_LOG: Duration = Duration::from_secs(10);
-/// The rate is that of the last seconds, not of the whole run.
+/// Window over which the rate is measured.
 const RATE_WINDOW: Duration = Duration::from_secs(2);
 
 /// Shows progress on standard error.
@@ -15,7 +15,7 @@ pub(crate) struct Progress {
     place: Box<dyn Write>,
     quiet: bool,
     terminal: bool,
-    /// Whether somebody can press keys.
+    /// Whether a user can press keys.
     has_keys: bool,
     shown: Instant,
     window: (Instant, u64),
@@ -29,7 +29,7 @@ impl Progress {
         Self { place: Box::new(stderr()), quiet, terminal, has_keys, shown: now, window: (now, 0), rate_hz: 0.0 }
     }
 
-    /// Shows the state of a run, if it is time to.
+    /// Shows the state of a run, if the period is over.
     pub(crate) fn show(&mut self, summary: &Summary) {
         let finished = summary.finished();
         let passed = self.window.0.elapsed();
@@ -42,7 +42,7 @@ impl Progress {
         }
         self.shown = Instant::now();
         let line = self.line(summary, finished);
-        // Progress that cannot be written is not worth ending a run for.
+        // A failed write does not end the run.
         if self.terminal { write!(self.place, "{CLEAR_LINE}{line}") } else { writeln!(self.place, "{line}") }.ok();
         self.place.flush().ok();
     }
@@ -71,7 +71,7 @@ impl Progress {
         )
     }
 
-    /// Leaves a clean line behind.
+    /// Clears the line of the terminal.
     pub(crate) fn clear(&mut self) {
         if self.terminal && !self.quiet {
             write!(self.place, "{CLEAR_LINE}").ok();
@@ -86,7 +86,7 @@ mod tests {
     use crate::status::{InputCounts, Life, Pausing};
     use std::io::{Read, Seek};
 
-    /// A run of a source that has sent 40 of 50 frames, of which a sink has finished 38.
+    /// A run whose source has sent 40 of 50 frames, of which a sink has finished 38.
     fn run(pausing: Pausing) -> Summary {
         let mut run = lossless(InputCounts::default(), "writer");
         run.stages[0].planned.wiring.output = None;

@@ -1,7 +1,7 @@
-//! How a swap is asked for: a request in the run's folder, which only this user can enter, and the launcher's answer there.
+//! Requests for swaps: a request in the run's folder, which only this user can enter, and the launcher's answer there.
 //!
-//! The one who asks writes `swap.request` whole, by renaming it into place, and holds `swap.lock` until it has read
-//! `swap.answer`; the launcher looks for a request as often as it looks after its stages.
+//! The requester writes `swap.request` atomically, and holds `swap.lock` until it has read `swap.answer`. The launcher checks for
+//! a request as often as it checks its stages.
 
 use super::folder::{FolderError, RunFolder};
 use crate::plan::Plan;
@@ -12,10 +12,10 @@ use std::time::Duration;
 
 const ANSWER_CHECK_PERIOD: Duration = Duration::from_millis(10);
 
-/// Why a stage was not replaced; the one that was to be replaced is at work.
+/// Reason why a stage was not replaced; the old one then works on.
 #[derive(Debug, thiserror::Error)]
 pub enum SwapError {
-    /// The run's folder.
+    /// The run's folder cannot be used.
     #[error(transparent)]
     Folder(#[from] FolderError),
     /// Another swap is under way.
@@ -24,22 +24,22 @@ pub enum SwapError {
     /// The run ended meanwhile.
     #[error("the run ended before the stage was replaced\n  hint: start the pipeline anew with `conicflow run`")]
     Over,
-    /// The launcher did not do it.
+    /// The launcher refused the swap, or it failed.
     #[error("{0}")]
     Refused(String),
 }
 
-/// What is to be replaced, and by what.
+/// A request for a swap.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Request {
     pub(crate) id: u64,
     /// Name of the stage.
     pub(crate) stage: String,
-    /// The plan of the run as it is to be.
+    /// The plan of the run after the swap.
     pub(crate) plan: Plan,
 }
 
-/// What became of it.
+/// Result of a swap.
 #[derive(Debug, Serialize, Deserialize)]
 struct Answer {
     id: u64,
@@ -47,7 +47,7 @@ struct Answer {
 }
 
 impl RunFolder {
-    /// Asks the launcher of this run to replace `stage` by what stands in `plan`, and waits until it has.
+    /// Asks the launcher of this run to replace `stage` by its version in `plan`, and waits for the result.
     pub(crate) fn ask_for_swap(&self, stage: &str, plan: Plan) -> Result<(), SwapError> {
         let path = self.path().join("swap.lock");
         let lock = File::create(&path).map_err(FolderError::at(&path))?;
@@ -65,14 +65,14 @@ impl RunFolder {
         }
     }
 
-    /// A request that was not taken yet.
+    /// Takes a request that was not taken yet.
     pub(crate) fn take_request(&self) -> Option<Request> {
         let request = self.read_json("swap.request")?;
         fs::remove_file(self.path().join("swap.request")).ok();
         Some(request)
     }
 
-    /// Answers the request `id`.
+    /// Writes the result of the request `id`.
     pub(crate) fn answer(&self, id: u64, outcome: &Result<(), String>) -> Result<(), FolderError> {
         self.write_whole("swap.answer", &Answer { id, fault: outcome.as_ref().err().cloned() })
     }
@@ -81,7 +81,7 @@ impl RunFolder {
         serde_json::from_slice(&fs::read(self.path().join(name)).ok()?).ok()
     }
 
-    /// Writes a file so that whoever reads it sees all of it, or what was there before.
+    /// Writes a file atomically: a reader sees its old or its new content, never a part.
     pub(crate) fn write_whole(&self, name: &str, content: &impl Serialize) -> Result<(), FolderError> {
         let (path, draft) = (self.path().join(name), self.path().join(format!("{name}.new")));
         let text =
@@ -116,7 +116,7 @@ mod tests {
         assert!(matches!(ask(), Err(SwapError::Over)), "nobody runs");
         folder.take_request().unwrap();
         let _run = folder.lock("test").unwrap();
-        // The processes that other tests start have a copy of the lock until they are other programs.
+        // Processes that other tests fork hold a copy of the lock until they exec.
         let is_early = |begin: Instant| begin.elapsed() < Duration::from_secs(20);
         let ask_in_turn = |begin: Instant| loop {
             match ask() {

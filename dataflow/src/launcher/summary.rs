@@ -1,4 +1,4 @@
-//! What a run did: read from the records of its stages, while it runs for its progress, and at its end for people.
+//! Summary of a run: reads the records of its stages, for the progress of a running one and for the report at its end.
 
 use super::folder::RunFolder;
 use crate::item_type::ItemType;
@@ -26,27 +26,27 @@ pub struct Summary {
     ending: Ending,
 }
 
-/// What a launcher knows of the end of a run beside its records.
+/// The launcher's knowledge of how a run ended, in addition to the records.
 #[derive(Clone, Debug)]
 pub(crate) struct Ending {
     /// Whether no stage was lost.
     pub(crate) complete: bool,
-    /// Whether somebody did not want to wait for what was under way.
+    /// Whether the user ended the run without waiting for messages in flight.
     pub(crate) hurried: bool,
-    /// Why the stages were told to end although not all was delivered.
+    /// Reason why the stages were ended although not all was delivered.
     pub(crate) stalled: Option<String>,
 }
 
-/// Messages that a reader which wants all of them did not get.
+/// Messages that a lossless reader did not get.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LostMessages {
     /// Name of the topic.
     pub topic: String,
-    /// Who lost them: a stage, the stages of another machine, or the bridge of this one.
+    /// Reader that lost them: a stage, the stages of another machine, or the bridge of this one.
     pub reader: String,
-    /// How many were lost, and of how many.
+    /// Number of lost messages, and of all messages sent.
     pub count: [u64; 2],
-    /// How many of the lost ones came, but made no sense.
+    /// Number of lost messages that arrived malformed.
     pub malformed: u64,
 }
 
@@ -76,40 +76,40 @@ impl Summary {
         Self { pipeline: plan.pipeline.clone(), elapsed, stages: stages.collect(), links, ending }
     }
 
-    /// Whether no stage was lost, no message where all are wanted, and the run came to its end by itself.
+    /// Whether the run lost no stage and no message of a lossless reader, and did not stall at its end.
     pub fn is_complete(&self) -> bool {
         self.ending.complete && self.ending.stalled.is_none() && self.lost().is_empty()
     }
 
-    /// How many messages have been worked on, by all stages together.
+    /// Number of messages processed by all stages together.
     pub(crate) fn worked_on(&self) -> u64 {
         self.statuses().map(|(_, status)| status.steps).sum()
     }
 
-    /// What keeps each stage that is not over from going on.
+    /// Describes what each unfinished stage waits for.
     pub(crate) fn who_waits(&self) -> Vec<String> {
         standstill::who_waits(&self.statuses().collect::<Vec<_>>())
     }
 
-    /// Whether any stage waits for another one to take what it has sent.
+    /// Whether any stage waits for another one to take its messages.
     pub(crate) fn is_held_up(&self) -> bool {
         standstill::is_held_up(&self.statuses().collect::<Vec<_>>())
     }
 
-    /// Whether a source could be paused, and whether one is.
+    /// Whether a source could be paused, and whether one is paused.
     pub(crate) fn pausing(&self) -> (bool, bool) {
         let sources = || self.statuses().map(|(_, status)| status).filter(|status| status.life() == Life::Running);
         let is = |pausing: Pausing| sources().any(|status| status.pausing() == pausing);
         (is(Pausing::Goes), is(Pausing::Stands))
     }
 
-    /// What readers lost of topics of which they want all, in a run that has ended; nothing where somebody ended the run
-    /// before all was delivered, or the reader wanted no more. A stage that is killed loses what waited for it.
+    /// Messages that lossless readers lost in a run that has ended. Empty where the user ended the run before all was delivered,
+    /// or the reader wanted no more. A stage that is killed loses the messages in its queue.
     pub fn lost(&self) -> Vec<LostMessages> {
         let lost = self.statuses().flat_map(|(planned, status)| {
             planned.wiring.inputs().enumerate().filter_map(move |(index, topic)| {
                 let count = self.lost_by(planned, status, index).filter(|[lost, _]| *lost > 0)?;
-                // Others may have put in some that are not among those sent.
+                // Malformed messages of other senders may not be among those sent.
                 let malformed = status.inputs[index].malformed.min(count[0]);
                 Some(LostMessages {
                     topic: topic.name.clone(),
@@ -122,8 +122,8 @@ impl Summary {
         lost.chain(self.lost_on_the_way()).collect()
     }
 
-    /// What was lost between machines of topics of which the one that reads them wants all: what the bridge here sent, and nobody
-    /// acknowledged, and what it could not send or pass on. What else did not come the stages here miss themselves.
+    /// Messages of lossless edges that were lost between machines: those that the bridge of this machine sent without an
+    /// acknowledgement, and those that it could not send or pass on. Other losses are counted by the stages that miss them.
     fn lost_on_the_way(&self) -> impl Iterator<Item = LostMessages> {
         let links = self.links.iter().filter(|_| !self.ending.hurried);
         links.flat_map(|link| {
@@ -140,7 +140,8 @@ impl Summary {
         })
     }
 
-    /// Whether the machine at the other end of a link, or this one where it comes from there, wants all messages of an edge.
+    /// Whether an edge is lossless for the machine that receives it: the other end of a link, or this machine for an incoming
+    /// edge.
     fn is_lossless(&self, report: &EdgeReport, machine: &str) -> bool {
         let mut bridges = self.stages.iter().filter_map(|stage| match &stage.planned.runs {
             Runs::Bridge(bridge) => Some(bridge),
@@ -159,7 +160,7 @@ impl Summary {
         })
     }
 
-    /// How many messages of an input a stage that wants all of them did not get, and of how many.
+    /// Number of messages that a lossless reader missed of an input, and number of messages sent; `None` if it did not want all.
     fn lost_by(&self, planned: &PlannedStage, status: &Status, index: usize) -> Option<[u64; 2]> {
         let topic = planned.wiring.inputs().nth(index)?;
         let wants_all = topic.delivery_to(&planned.name) == Delivery::Lossless && status.had_enough == 0;
@@ -167,33 +168,33 @@ impl Summary {
             return None;
         }
         let InputCounts { received, dropped, late, malformed, .. } = status.inputs[index];
-        // What a stage of another machine has sent is known by the numbers of its messages alone. These come from outside.
+        // How many messages a stage of another machine has sent is known only from their numbers. These come from outside.
         let sent = topic.writers.iter().map(|writer| self.sent_by(writer)).sum::<Option<u64>>();
         let sent = sent.unwrap_or(0).max(received.saturating_add(dropped));
         let missing = sent.saturating_sub(received.saturating_add(late)).max(dropped);
-        // What comes aside is wanted as long as the driving input lasts.
+        // A side input is wanted only as long as the driving input lasts.
         let wanted = if index == 0 { missing } else { missing.min(dropped.saturating_add(malformed)) };
         Some([wanted, sent])
     }
 
-    /// What an input has lost: what its stage has counted, and of one that is over also what came to nobody, because the stage
-    /// was killed when its writers had ended.
+    /// Number of messages that an input lost: those that its stage counted and, once the stage is over, those that no process
+    /// received because the stage was killed after its writers had ended.
     fn dropped_by(&self, planned: &PlannedStage, status: &Status, index: usize) -> u64 {
         let is_over = status.life().is_over();
         let lost = self.lost_by(planned, status, index).filter(|_| is_over);
-        // Processes that died of each message had no time to count any.
+        // A process that dies on each message counts none.
         let is_hopeless = is_over && status.starts > 1 && status.inputs[index].received == 0;
         let topic = planned.wiring.inputs().nth(index).filter(|_| is_hopeless);
         let sent = topic.into_iter().flat_map(|topic| &topic.writers).filter_map(|writer| self.sent_by(writer)).sum();
         status.inputs[index].dropped.max(lost.map_or(0, |[lost, _]| lost)).max(sent)
     }
 
-    /// How many messages a stage has sent; `None` where it has no record here.
+    /// Number of messages that a stage has sent; `None` without a record here.
     fn sent_by(&self, stage: &str) -> Option<u64> {
         self.statuses().find(|(planned, _)| planned.name == stage).map(|(_, status)| status.sent)
     }
 
-    /// Frames that the sources have made, and how many they will have made in the end where all of them know.
+    /// Number of frames that the sources have made, and the total where all of them know theirs.
     pub fn frames(&self) -> (u64, Option<u64>) {
         let alone = self.stages.iter().all(|stage| stage.planned.is_bridge() || !stage.planned.is_source());
         let sources = self.statuses().filter(|(planned, _)| planned.is_source() && (alone || !planned.is_bridge()));
@@ -205,12 +206,12 @@ impl Summary {
         (made, total.filter(|total| *total > 0))
     }
 
-    /// Frames that have come to the end of the pipeline: those of the busiest sink.
+    /// Number of frames that have reached the end of the pipeline: those of the busiest sink.
     pub fn finished(&self) -> u64 {
         self.statuses().filter(|(planned, _)| planned.is_sink()).map(|(_, status)| status.steps).max().unwrap_or(0)
     }
 
-    /// Messages that inputs lost to newer ones.
+    /// Number of messages that inputs dropped.
     pub fn dropped(&self) -> u64 {
         let inputs = self.statuses().flat_map(|(planned, status)| {
             let used = status.used_inputs().enumerate();
@@ -219,12 +220,12 @@ impl Summary {
         inputs.fold(0, u64::saturating_add)
     }
 
-    /// How often stages were started anew.
+    /// Number of restarts of stages.
     pub fn restarts(&self) -> u64 {
         self.statuses().map(|(_, status)| status.starts.saturating_sub(1)).sum()
     }
 
-    /// Objects found so far.
+    /// Number of objects found so far.
     pub fn objects(&self) -> u64 {
         let writers = self.statuses().filter(|(planned, _)| !planned.is_sink());
         writers.map(|(_, status)| used(&status.found).map(|(_, count)| count).sum()).max().unwrap_or(0)
@@ -261,10 +262,10 @@ impl Summary {
     }
 }
 
-/// What a stage found in how many frames; `None` where it is not one that finds objects.
+/// Describes what a stage found in how many frames; `None` for a stage that does not find objects.
 fn found(planned: &PlannedStage, status: &Status) -> Option<String> {
     let item = planned.wiring.output.as_ref().and_then(|topic| topic.item.as_ref());
-    // A source hands on what others have found.
+    // A source passes on what others have found.
     let finds =
         item.is_some_and(ItemType::is_counted) && !planned.is_bridge() && !planned.is_source() && status.steps > 0;
     let found: Vec<_> = used(&status.found).map(|(label, count)| format!("{} {count}", plain(label))).collect();
@@ -274,7 +275,7 @@ fn found(planned: &PlannedStage, status: &Status) -> Option<String> {
     }
 }
 
-/// The links to other machines, with what went over them.
+/// Table of the links to other machines and their traffic.
 pub fn link_table(links: &[LinkReport]) -> Table {
     let mut table = Table::new(&["link", "topic", "way", "messages", "Hz", "MB/s", "lost", "resent", "age", "state"]);
     for link in links {
@@ -297,12 +298,12 @@ fn time(durations: &Durations, quantile: f64) -> String {
 }
 
 impl Summary {
-    /// The summary with all counters, also with those that tell why stages turned candidates down.
+    /// The summary with all counters, including the reasons for rejected candidates.
     pub fn in_detail(&self) -> impl Display {
         Text { summary: self, in_detail: true }
     }
 
-    /// Whether any message was made.
+    /// Whether any message was sent or processed.
     fn has_begun(&self) -> bool {
         self.statuses().any(|(_, status)| status.sent + status.steps > 0)
     }
@@ -311,8 +312,8 @@ impl Summary {
         if self.links.is_empty() { Ok(()) } else { write!(f, "\n{}", link_table(&self.links)) }
     }
 
-    /// What was found and counted. The counters of stages in the middle say why nothing came of something: without
-    /// `in_detail` they are shown only where nothing was found.
+    /// Writes what was found and counted. Counters of stages in the middle say why candidates were rejected: without `in_detail`
+    /// they are shown only where nothing was found.
     fn findings(&self, f: &mut fmt::Formatter<'_>, in_detail: bool) -> fmt::Result {
         let with_reasons = in_detail || self.objects() == 0;
         for (planned, status) in self.statuses() {
@@ -383,7 +384,7 @@ pub(super) mod tests {
         PlannedStage { name: "stage".into(), wiring, restart: Restart::Never, ..PlannedStage::default() }
     }
 
-    /// A stage that makes these of ellipses.
+    /// A stage that turns ellipses into items of this type.
     fn finder<T: Item>() -> PlannedStage {
         let mut planned = stage::<T>();
         let input = Topic { name: "in".into(), item: Some(ItemType::of::<Ellipse>()), ..Topic::default() };
@@ -436,7 +437,7 @@ pub(super) mod tests {
         assert_eq!(text.lines().nth(1), Some("stage found in 12 frames: cone 1"), "{text}");
     }
 
-    /// A run in which `reader` has these counts of a lossless topic of which another stage sent 40 messages.
+    /// A run in which `reader` has these counts on a lossless topic to which another stage sent 40 messages.
     pub fn lossless(counts: InputCounts, writer: &str) -> Summary {
         let (mut reading, mut writing) = (Box::new(Status::default()), Box::new(Status::default()));
         (reading.inputs[0], writing.sent) = (counts, 40);
@@ -617,7 +618,7 @@ pub(super) mod tests {
         assert_eq!(run.frames(), (43, None));
     }
 
-    /// A bridge that has sent so many messages of other machines.
+    /// A bridge that has sent this many messages of other machines.
     fn bridge(sent: u64) -> StageSummary {
         let runs = Runs::Bridge(BridgePlan::default().into());
         let planned = PlannedStage { name: "bridge".into(), runs, ..stage::<Object>() };

@@ -1,7 +1,7 @@
-//! Replaces a running stage: starts its successor beside it, lets it leave when that is ready, and gives it the place.
+//! Replaces a running stage: starts its successor beside it, asks the stage to leave once the successor is ready, and hands over.
 //!
-//! Until the stage has been told to leave, whatever goes wrong leaves it at work. From then on its successor takes the place
-//! however it ended; a successor that cannot begin gives the place back.
+//! Before the stage is asked to leave, any failure leaves it running. Afterwards the successor takes the place however the stage
+//! ended; a successor that cannot start hands the place back.
 
 use super::child::{RunState, Supervised, command};
 use super::folder::RunFolder;
@@ -20,11 +20,11 @@ use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
 
-/// A successor is ready within this time, or not wanted any more.
+/// Time within which a successor has to be ready.
 const READY_GRACE: Duration = Duration::from_secs(15);
-/// A stage that was told to leave, and does not, is killed after this time.
+/// A stage that has not left this long after it was asked to is killed.
 const LEAVE_GRACE: Duration = Duration::from_secs(30);
-/// A successor that is not wanted any more ends by itself within this time.
+/// A dismissed successor has this time to end by itself.
 const DISMISS_GRACE: Duration = Duration::from_secs(2);
 
 /// A swap under way.
@@ -37,11 +37,11 @@ pub(crate) struct Swap {
 enum Step {
     /// The successor opens its ports beside the stage at work.
     Preparing(Successor),
-    /// The stage at work was told to leave.
+    /// The stage at work was asked to leave.
     Leaving(Successor),
-    /// The successor has the place, and says when it works; what the stage was before.
+    /// The successor has taken over, and will report that it works. Keeps the previous plan of the stage.
     Beginning(Box<PlannedStage>),
-    /// It is over; the one who asked is still to be told, which may take until there is room on the disk.
+    /// The swap is over. The answer to the requester is still to be written, which may take until the disk has room.
     Over { outcome: Result<(), String>, is_late: bool },
 }
 
@@ -50,7 +50,7 @@ impl Step {
         Self::Over { outcome, is_late: false }
     }
 
-    /// Whether it is not waited for any longer, having taken so long.
+    /// Whether this step has taken too long.
     fn is_overdue(&self, taken: Duration) -> bool {
         match self {
             Self::Preparing(_) => taken > READY_GRACE,
@@ -60,7 +60,7 @@ impl Step {
     }
 }
 
-/// The process that is to take a stage's place.
+/// The process that is to replace a stage.
 struct Successor {
     process: Guarded,
     /// Its standard input.
@@ -78,19 +78,19 @@ impl Successor {
         Ok(Self { process: process.map_err(fault)?, control })
     }
 
-    /// Whether it is ready; an error if it will not be.
+    /// Whether it is ready; an error if it has ended.
     fn is_ready(&mut self) -> Result<bool, ()> {
         match self.control.read(&mut [0]) {
             Ok(0) => Err(()),
             Ok(_) => Ok(true),
-            // It has not said anything yet.
+            // Nothing was received yet.
             Err(_) => Ok(false),
         }
     }
 
-    /// Gives it its turn.
+    /// Tells it to begin.
     fn begin(mut self) -> Guarded {
-        // If it has died meanwhile that is seen at the next look.
+        // If it has died meanwhile, the next check finds out.
         self.control.write_all(b"b").ok();
         self.process
     }
@@ -100,7 +100,7 @@ impl Successor {
         self.end_within(DISMISS_GRACE);
     }
 
-    /// Tells it to end, and kills it where it has not after this time.
+    /// Closes its control connection, so that it ends, and kills it if it has not ended in time.
     fn end_within(self, grace: Duration) {
         let Self { mut process, control } = self;
         drop(control);
@@ -147,12 +147,12 @@ impl Swap {
         &self.request.stage
     }
 
-    /// Whether the end of the stage's process is part of the swap, rather than a matter of starting it anew.
+    /// Whether the exit of the stage's process is part of the swap, so that it is not restarted.
     pub(crate) fn decides_about_exit(&self) -> bool {
         matches!(self.step, Step::Leaving(_) | Step::Beginning(_))
     }
 
-    /// Looks how far it is; `None` when it is over, and the one who asked has been told.
+    /// Advances the swap; `None` when it is over and the requester has its answer.
     pub(crate) fn go_on(self, stages: &mut [Supervised], run: &mut RunState<'_>) -> Option<Self> {
         let Self { request, step, since } = self;
         if let Step::Over { outcome, is_late } = step {
@@ -213,7 +213,7 @@ impl Swap {
         Some(Self { request, step, since })
     }
 
-    /// Ends what it has started, at the end of the run.
+    /// Ends the processes that it has started, at the end of the run.
     pub(crate) fn abandon(self, folder: &RunFolder) {
         let ended = || Err("the run ended\n  hint: start it anew".to_owned());
         let outcome = match self.step {
@@ -224,12 +224,12 @@ impl Swap {
             }
             Step::Beginning(_) => ended(),
         };
-        // Where it cannot be told so, the one who asked sees that the run is over.
+        // Without an answer the requester sees that the run is over.
         folder.answer(self.request.id, &outcome).ok();
     }
 }
 
-/// Whether the successor is ready; what stands against the swap as an error.
+/// Whether the successor is ready; an error gives the reason to call off the swap.
 fn look_at(
     successor: &mut Successor,
     stage: &mut Supervised,
@@ -271,13 +271,13 @@ fn refused(stage: &str, fault: impl Display) -> Step {
 }
 
 impl RunState<'_> {
-    /// Stages that start anew find what the run was before the swap.
+    /// Restores the plan from before the swap, for stages that restart.
     fn take_plan_back(&self) {
         self.folder.take_plan_back().unwrap_or_else(|error| tracing::error!("{error}"));
     }
 }
 
-/// Whether the stage's record says that its process now works, or has.
+/// Whether the stage's record says that its process is, or has been, at work.
 fn is_at_work(folder: &RunFolder, stage: &Supervised) -> bool {
     let record = Status::read(&folder.status(&stage.planned.name));
     record.is_some_and(|record| Some(record.process) == stage.process() && record.life() != Life::Starting)
@@ -325,7 +325,7 @@ mod tests {
         stage.kill();
     }
 
-    /// A successor that is ready as soon as it runs, and works until it is killed.
+    /// A successor that is ready at once, and works until it is killed.
     fn ready_successor() -> Successor {
         let (control, input) = UnixStream::pair().unwrap();
         control.set_nonblocking(true).unwrap();
@@ -336,7 +336,7 @@ mod tests {
         Successor { process: child.into(), control }
     }
 
-    /// A stage and its run, whose folder has the plan by which the stage is to be replaced, and keeps the one before.
+    /// A stage and its run; the run's folder has the plan of the replacement, and keeps the previous one.
     fn to_replace() -> (Supervised, TrialRun, Request) {
         let run = TrialRun::new();
         let mut plan = run.plan.clone();
@@ -346,7 +346,7 @@ mod tests {
         (at_work(stage::<Object>()), run, Request { id: 1, stage: "stage".into(), plan })
     }
 
-    /// Goes on with a swap until it is at such a step.
+    /// Advances a swap until it reaches such a step.
     fn go_on_to(swap: Swap, stage: &mut Supervised, state: &mut RunState<'_>, is_there: fn(&Step) -> bool) -> Swap {
         let (mut swap, begin) = (swap, Instant::now());
         while !is_there(&swap.step) {
@@ -443,7 +443,7 @@ mod tests {
         input.write_all(b"r").unwrap();
         assert_eq!(successor.is_ready(), Ok(true));
         drop(input);
-        // The processes that other tests start have a copy of it until they are other programs.
+        // Processes that other tests fork hold a copy of the socket until they exec.
         let begin = Instant::now();
         while successor.is_ready() == Ok(false) {
             assert!(begin.elapsed() < Duration::from_secs(20), "it is waited for although it is gone");
@@ -519,7 +519,7 @@ mod tests {
         let mut successor = Successor { process: command.spawn().unwrap().into(), control };
         drop(command);
         assert_eq!(successor.is_ready(), Ok(true));
-        // On a busy machine it may need more time than a run gives it.
+        // On a busy machine it may need more time than a run allows.
         successor.end_within(Duration::from_secs(60));
         assert!(files.path().join("in_order").exists());
     }

@@ -1,4 +1,4 @@
-//! A run in a folder of its own that nobody has launched, for the tests of what looks after its stages.
+//! A run in its own folder without a launcher, for tests of the code that supervises its stages.
 
 use super::child::RunState;
 use super::folder::RunFolder;
@@ -13,7 +13,7 @@ use conicflow_messages::Object;
 use tempfile::TempDir;
 use tracing::Level;
 
-/// Run 7.
+/// Run number 7.
 pub struct TrialRun {
     pub files: TempDir,
     pub folder: RunFolder,
@@ -27,13 +27,13 @@ impl TrialRun {
         Self { folder: folder_at(files.path()), files, plan: plan_of(7), options: RunOptions::default() }
     }
 
-    /// What is known of it while it is in this phase.
+    /// State of the run in this phase.
     pub fn state(&mut self, phase: Phase) -> RunState<'_> {
         let Self { folder, plan, options, .. } = self;
         RunState { plan, folder, options, phase, is_removed: false }
     }
 
-    /// Writes what a process of a stage tells of itself.
+    /// Writes a stage's record as a process of the stage would.
     pub fn tell(&self, stage: &str, process: u32, life: Life) {
         change_record(&self.folder, stage, |status| {
             status.process = process;
@@ -48,14 +48,14 @@ pub fn plan_of(run: u64) -> Plan {
     Plan { layout: LAYOUT, pipeline, base, run, stages, origin: Origin::default() }
 }
 
-/// Writes into the record of a stage in run 7.
+/// Changes the record of a stage in run 7.
 pub fn change_record(folder: &RunFolder, stage: &str, change: impl FnOnce(&mut Status)) {
     let mut record = StatusFile::open(&folder.status(stage), 7).unwrap();
     change(&mut record.status);
     record.write();
 }
 
-/// What is logged by what is done meanwhile in this thread.
+/// Runs `act` and returns what this thread logs meanwhile.
 pub fn logged(act: impl FnOnce()) -> String {
     tests::logged(Level::INFO, act)
 }

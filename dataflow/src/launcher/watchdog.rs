@@ -1,13 +1,15 @@
-//! Tells a stage that hangs from one that waits: who waits gives a sign of life ten times a second, and a step is one.
+//! Distinguishes a stage that hangs from one that waits: a waiting stage beats ten times a second, and each step is a heartbeat,
+//! too.
 
 use std::time::{Duration, Instant};
 
-/// A stage that has given no sign of life for this long is reported, where the file names no other time.
+/// A stage without a heartbeat for this long is reported, unless the file sets another time.
 const REPORT_AFTER: Duration = Duration::from_secs(10);
-/// A longer time between two looks is not held against the stage: the launcher, or the whole machine, stood still as well.
+/// Maximum time between two checks that counts as silence of the stage: in a longer one the launcher or the machine stood still,
+/// too.
 const LONGEST_CHECK_PERIOD: Duration = Duration::from_secs(1);
 
-/// What the launcher knows of one process's signs of life.
+/// Heartbeat of one process as the launcher sees it.
 #[derive(Debug)]
 pub(crate) struct Watchdog {
     process: u32,
@@ -17,22 +19,23 @@ pub(crate) struct Watchdog {
     reported: bool,
 }
 
-/// What is new at a look.
+/// Change found by a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum News {
-    /// It has been silent for too long.
+    /// The process has had no heartbeat for too long: this time.
     Hangs(Duration),
-    /// After that it has given a sign of life.
+    /// It has a heartbeat again after this time.
     GoesOn(Duration),
 }
 
 impl Watchdog {
-    /// Begins with a process that was just started, or has just taken the place.
+    /// Starts to watch a process that was just started, or has just taken over.
     pub(crate) fn new(process: u32, now: Instant) -> Self {
         Self { process, sign: None, silent: Duration::ZERO, looked: now, reported: false }
     }
 
-    /// Looks at the last sign of life that the stage's record tells of, if it is one of `process`.
+    /// Checks the last heartbeat (`sign`) in the record of `process`; `None` without a record. The process hangs after a silence
+    /// of `limit`.
     pub(crate) fn look(
         &mut self,
         process: u32,
@@ -63,7 +66,7 @@ mod tests {
 
     const CHECK_PERIOD: Duration = Duration::from_millis(100);
 
-    /// The news of looks at these signs, a tenth of a second apart, with their number.
+    /// Runs checks with these heartbeats, a tenth of a second apart; returns the changes with the indices of the checks.
     fn news(signs: impl IntoIterator<Item = Option<u64>>) -> Vec<(usize, News)> {
         let begin = Instant::now();
         let mut watchdog = Watchdog::new(7, begin);

@@ -1,11 +1,11 @@
-//! The edges of one machine to and from the others, as the pipeline file places its stages.
+//! Edges of one machine to and from the others, derived from the placement of the stages.
 
 use crate::network::{BridgePlan, Edge, Receiver};
 use crate::pipeline::{Compression, Input, Pipeline};
 use crate::ports::Delivery;
 use std::collections::BTreeMap;
 
-/// What the bridge of `machine` carries; `None` where nothing crosses.
+/// Plan of the bridge of `machine`; `None` if no topic crosses its border.
 pub(crate) fn bridge_plan(pipeline: &Pipeline, machine: &str) -> Option<BridgePlan> {
     let edges = || pipeline.machines.keys().flat_map(|from| edges_from(pipeline, from, machine));
     let plan = BridgePlan {
@@ -18,7 +18,7 @@ pub(crate) fn bridge_plan(pipeline: &Pipeline, machine: &str) -> Option<BridgePl
     crosses.then_some(plan)
 }
 
-/// The edges that begin on the machine `from`, as `machine` sees their topics.
+/// The edges from the machine `from`, with their topics as `machine` sees them.
 fn edges_from(pipeline: &Pipeline, from: &str, machine: &str) -> Vec<Edge> {
     let edge = |name: &str| {
         let topic = pipeline.topic_on(name, Some(machine));
@@ -31,7 +31,7 @@ fn edges_from(pipeline: &Pipeline, from: &str, machine: &str) -> Vec<Edge> {
     pipeline.topics().into_iter().filter_map(edge).collect()
 }
 
-/// The machines that read a topic which is written on `from`, and the strongest compression that any of them asks for.
+/// The machines that read a topic written on `from`, and the strongest compression that any of them asks for.
 fn receivers(pipeline: &Pipeline, topic: &str, from: &str) -> (Vec<Receiver>, Compression) {
     let mut machines = BTreeMap::new();
     let mut compression = None;

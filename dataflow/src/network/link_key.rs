@@ -1,5 +1,5 @@
-//! The secret that the machines of a pipeline share, by which each tells that a message is of another of them: a file with 32
-//! random bytes as hexadecimal digits, which nobody but its owner can read.
+//! Secret key that the machines of a pipeline share, to authenticate their messages: a file with 32 random bytes as hexadecimal
+//! digits, which only its owner can read.
 
 use conicflow_messages::Hinted;
 use std::fs::{self, DirBuilder, File, OpenOptions};
@@ -7,14 +7,14 @@ use std::io::{self, ErrorKind, Read, Write};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
-/// Bytes of a secret.
+/// Length of a key in bytes.
 const LENGTH: usize = 32;
-/// The digits of a secret, and a little more, to see that there is more.
+/// Number of bytes to read from a file: the digits of a key, and some more, to detect a longer file.
 const LONGEST_FILE: u64 = 4 * LENGTH as u64;
-/// Anybody but the owner.
+/// Permission bits of all users but the owner.
 const OTHERS: u32 = 0o077;
 
-/// A secret of the machines of a pipeline.
+/// Key of the machines of a pipeline.
 #[derive(Clone, PartialEq, Eq)]
 pub struct LinkKey([u8; LENGTH]);
 
@@ -25,10 +25,10 @@ impl std::fmt::Debug for LinkKey {
 }
 
 impl LinkKey {
-    /// Makes the file of a new secret, which only this user can read.
+    /// Creates the file of a new key, which only this user can read.
     ///
     /// # Errors
-    /// There is such a file, which is left as it is, or none can be made.
+    /// The file exists, and is left as it is; or it cannot be created.
     pub fn make(path: &Path) -> Result<(), Hinted> {
         let secret = random().map_err(|error| {
             Hinted::new(format!("`/dev/urandom` cannot be read for a key: {error}"), "is /dev there, as it should be?")
@@ -44,10 +44,10 @@ impl LinkKey {
         })
     }
 
-    /// Reads the file of a secret.
+    /// Reads the file of a key.
     ///
     /// # Errors
-    /// Others can read it as well, or it holds something else.
+    /// Other users can read it, too, or it has other content.
     pub fn read(path: &Path) -> Result<Self, Hinted> {
         let shown = path.display();
         let (mode, text) = read_file(path).map_err(|error| {
@@ -64,11 +64,11 @@ impl LinkKey {
         })
     }
 
-    /// The secret of this user on this machine, made when it is asked for the first time: for machines of a pipeline that
-    /// are one, and meet where its other users can come, too.
+    /// The key of this user on this machine, created at the first call. It is for pipelines whose machines are all this host, and
+    /// listen where its other users can connect, too.
     ///
     /// # Errors
-    /// There is no place for it, or what is there is none.
+    /// There is no place for it, or the file is not a key.
     pub fn of_user() -> Result<Self, Hinted> {
         let path = user_path()?;
         let hint = "name a key in the tables of all machines: `conicflow key` makes one";
@@ -112,7 +112,7 @@ fn secret_of(text: &str) -> Option<[u8; LENGTH]> {
     Some(secret)
 }
 
-/// Where the secret of this user lies.
+/// Path of this user's key.
 fn user_path() -> Result<PathBuf, Hinted> {
     let folder = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
     let state = folder("XDG_STATE_HOME").or_else(|| Some(folder("HOME")?.join(".local/state")));
@@ -122,7 +122,7 @@ fn user_path() -> Result<PathBuf, Hinted> {
     })
 }
 
-/// Makes a file of a new secret, unless there is one; whoever reads it meanwhile finds it whole or not at all.
+/// Creates a file with a new key, unless it exists. It appears atomically for concurrent readers.
 fn make_once(path: &Path) -> io::Result<()> {
     if path.exists() {
         return Ok(());
@@ -131,7 +131,7 @@ fn make_once(path: &Path) -> io::Result<()> {
         DirBuilder::new().recursive(true).mode(0o700).create(folder)?;
     }
     let own = path.with_extension(format!("key.{}", std::process::id()));
-    // What a killed process of this number has left is of no use.
+    // A file that a killed process with the same id has left is overwritten.
     let mut file = OpenOptions::new().write(true).create(true).truncate(true).mode(0o600).open(&own)?;
     let linked = file.write_all(&digits(&random()?)).and_then(|()| fs::hard_link(&own, path));
     fs::remove_file(&own)?;

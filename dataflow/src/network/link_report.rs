@@ -1,4 +1,4 @@
-//! What a bridge tells of its links while it runs, in a file of the run's folder beside the records of the stages.
+//! Report of a running bridge on its links, in a file of the run's folder beside the records of the stages.
 
 use serde::{Deserialize, Serialize};
 use std::io;
@@ -7,35 +7,35 @@ use std::path::{Path, PathBuf};
 /// The link to one other machine.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct LinkReport {
-    /// The other machine.
+    /// Name of the other machine.
     pub machine: String,
-    /// Whether it is there.
+    /// State of the link.
     pub state: LinkState,
-    /// For how long that is so, in seconds; of a machine that was never heard of, since this one's bridge started.
+    /// Duration of that state, in seconds; for a machine that was never heard, the time since the bridge started here.
     pub state_s: f64,
-    /// Whether it was ever heard of.
+    /// Whether the machine was ever heard.
     pub was_heard: bool,
-    /// Shortest time there and back, of late, in milliseconds.
+    /// Shortest recent round-trip time, in milliseconds.
     pub round_trip_ms: Option<f64>,
-    /// Its monotonic clock less this machine's, in seconds.
+    /// Its monotonic clock minus this machine's, in seconds.
     pub clock_offset_s: Option<f64>,
-    /// What goes over it.
+    /// Topics that the link carries.
     pub edges: Vec<EdgeReport>,
 }
 
-/// What is known of another machine.
+/// State of a link to another machine.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LinkState {
-    /// It was heard of just now.
+    /// Messages of the machine come in.
     Up,
-    /// It has fallen silent.
+    /// The machine has become silent.
     Down,
-    /// Something comes in its name that is refused, as with another key or another version.
+    /// Messages in its name are refused, as with another key or another version.
     Refused,
-    /// It was never heard of, but somebody, another machine or a router, is there.
+    /// The machine was never heard, but another machine or a router is connected.
     Never,
-    /// Nobody at all is there: none of the machines, nor a router.
+    /// Nothing is connected: no machine, and no router.
     #[default]
     Unreachable,
 }
@@ -52,45 +52,46 @@ impl std::fmt::Display for LinkState {
     }
 }
 
-/// A topic that goes over a link.
+/// A topic that a link carries.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct EdgeReport {
     /// Its name.
     pub topic: String,
     /// `out` or `in`.
     pub direction: String,
-    /// Messages sent, or received and passed on.
+    /// Number of messages sent, or received and passed on.
     pub messages: u64,
-    /// The same per second.
+    /// The same number per second.
     pub rate_hz: f64,
-    /// Megabytes per second on the wire.
+    /// Bandwidth on the wire, in megabytes per second.
     pub bandwidth_mbps: f64,
-    /// Bytes on the wire, in all.
+    /// Total bytes on the wire.
     pub wire_bytes: u64,
-    /// The same messages in shared memory.
+    /// Total bytes of the same messages in shared memory.
     pub memory_bytes: u64,
-    /// Messages that were lost on the way, or given up.
+    /// Number of messages that were lost on the way, or given up.
     pub lost: u64,
-    /// Messages that were sent again.
+    /// Number of retransmissions.
     pub resent: u64,
-    /// Messages that came too late to be of use.
+    /// Number of messages that came too late to be of use.
     pub stale: u64,
-    /// Messages that made no sense, and were left out.
+    /// Number of malformed messages, which were skipped.
     pub malformed: u64,
-    /// Those of them that had a place in the stream, and so are lost; the others were put in by somebody else, or come again.
+    /// Number of malformed messages that had a place in the stream, and so are lost; the others were repeated, or came from
+    /// another sender.
     pub refused: u64,
-    /// Time from the writer's sending to the arrival of the last message, in milliseconds.
+    /// Age of the last message at its arrival: time since its writer sent it, in milliseconds.
     pub age_ms: f64,
 }
 
 impl EdgeReport {
-    /// Whether it comes from the other machine.
+    /// Whether its messages come from the other machine.
     pub(crate) fn comes(&self) -> bool {
         self.direction == "in"
     }
 }
 
-/// The file's content.
+/// Content of the file.
 #[derive(Serialize, Deserialize)]
 struct Report {
     run: u64,
@@ -101,7 +102,7 @@ fn path(folder: &Path) -> PathBuf {
     folder.join("bridge.links")
 }
 
-/// Writes the report of a run, whole or not at all.
+/// Writes the report of a run atomically.
 ///
 /// # Errors
 /// The files cannot be written.

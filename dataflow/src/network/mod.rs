@@ -1,8 +1,8 @@
-//! What the program's network part is told, and what it has to do. Nothing else here knows how machines reach each other.
+//! Interface to the program's network part. Nothing else in this package knows how machines reach each other.
 //!
-//! Where a topic is written on one machine and read on another, the launcher of each starts one bridge process, which carries
-//! the [`Edge`]s of its [`BridgePlan`]. The functions of [`Network`] check the machine's table in the pipeline file, and run
-//! that process.
+//! Where a topic is written on one machine and read on another, the launcher of each starts one bridge process, which carries the
+//! [`Edge`]s of its [`BridgePlan`]. The functions of [`Network`] check the machine's table in the pipeline file, and run that
+//! process.
 
 pub(crate) mod bridge_plan;
 pub(crate) mod link_key;
@@ -23,23 +23,23 @@ pub(crate) const NO_NETWORK: &str = "this program was built without its network 
 pub(crate) const NO_NETWORK_HINT: &str =
     "give it a network part, as `conicflow` has one, or let all stages run on one machine, without [machine.*]";
 
-/// What carries edges between machines.
+/// Network part of a program, which carries edges between machines.
 #[derive(Clone, Copy)]
 pub struct Network {
-    /// Whether a machine's table can be used; a file that is not there is reported elsewhere.
+    /// Checks a machine's table; a missing file is reported elsewhere.
     pub check: fn(&Machine) -> Result<(), Hinted>,
-    /// What may keep a machine from its links today, although its table can be used.
+    /// Warnings of problems that may prevent a machine's links today, although its table is valid.
     pub warnings: fn(&Machine) -> Vec<Hinted>,
-    /// Where a machine listens.
+    /// The endpoints at which a machine listens.
     pub listen_endpoints: fn(&Machine) -> Result<Vec<String>, Hinted>,
-    /// What carries the edges of a plan, as a process of its own, until all have ended.
+    /// Program that carries the edges of a plan, in its own process, until all have ended.
     pub carrier: Carrier,
 }
 
-/// What carries the edges of a plan for a run, until all have ended.
+/// Carries the edges of a plan for a run, until all have ended.
 pub(crate) type RunBridge = fn(&BridgePlan, BridgeRun<'_>, StageRuntime<SharedMemory>) -> Result<(), NetworkError>;
 
-/// What carries edges.
+/// Program that carries edges.
 #[derive(Clone, Copy)]
 pub enum Carrier {
     /// This program.
@@ -59,38 +59,38 @@ pub struct BridgeRun<'a> {
     pub folder: &'a Path,
 }
 
-/// Why a bridge ended before its edges did.
+/// Reason why a bridge ended before its edges did.
 #[derive(Debug, thiserror::Error)]
 pub enum NetworkError {
-    /// To start it anew would not help.
+    /// A restart would not help.
     #[error("{0}")]
     Refused(StageError),
-    /// Started anew it may go on.
+    /// A restart may help.
     #[error("{0}")]
     Failed(StageError),
 }
 
-/// What the bridge of one machine carries.
+/// Edges that the bridge of one machine carries.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BridgePlan {
     /// The machine's name.
     pub machine: String,
     /// Its table in the file.
     pub settings: Machine,
-    /// What leaves.
+    /// Edges to other machines.
     pub outgoing: Vec<Edge>,
-    /// What comes.
+    /// Edges from other machines.
     pub incoming: Vec<Edge>,
 }
 
-/// What one machine writes into a topic that others read.
+/// A topic that one machine writes and others read.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Edge {
     /// The topic, as the stages of the machine that this plan is for see it.
     pub topic: Topic,
-    /// What it carries.
+    /// Its item type.
     pub item: ItemType,
-    /// Where it is written.
+    /// Machine that writes it.
     pub from: String,
     /// The stages there that write it.
     pub writers: Vec<String>,
@@ -105,7 +105,7 @@ pub struct Edge {
 pub struct Receiver {
     /// Its name.
     pub machine: String,
-    /// Lossless if any of its stages wants every message.
+    /// Lossless if any of its stages reads losslessly.
     pub delivery: Delivery,
 }
 
@@ -118,7 +118,7 @@ impl BridgePlan {
 }
 
 impl Edge {
-    /// How it reaches a machine, if it does.
+    /// Delivery to a machine, if the edge goes there.
     pub fn delivery_to(&self, machine: &str) -> Option<Delivery> {
         self.to.iter().find(|receiver| receiver.machine == machine).map(|receiver| receiver.delivery)
     }

@@ -1,6 +1,6 @@
-//! Looks at running pipelines from outside: reads the records of their stages and what the kernel knows of the processes.
+//! Observes running pipelines from outside: reads the records of their stages and the kernel's data of their processes.
 //!
-//! Nothing is attached to, so that nothing is slowed down and no queue gets another reader. Who wants the messages uses [`watch`].
+//! It attaches to no topic, so it slows nothing down and adds no reader. To read the messages, use [`watch`].
 
 pub(crate) mod watch;
 
@@ -22,7 +22,7 @@ pub struct Observation {
     runs: Vec<RunRecord>,
 }
 
-/// What the run of one pipeline has counted by now, for those that keep a history and work out rates by themselves.
+/// Counts of one pipeline's run so far, for users that keep a history and compute rates themselves.
 #[derive(Default)]
 pub struct RunRecord {
     pipeline: String,
@@ -33,43 +33,43 @@ pub struct RunRecord {
     pub links: Vec<LinkReport>,
 }
 
-/// What a stage has counted by now, and what its process takes.
+/// Counts of a stage so far, and the resources that its process uses.
 pub struct StageRecord {
     /// The stage, as it is planned.
     pub planned: PlannedStage,
-    /// Its counts, which go on when it is started anew.
+    /// Its counts, which continue after a restart.
     pub status: Box<Status>,
-    /// Of the process that works now, if one does.
+    /// Resources of the running process, if there is one.
     pub usage: Option<Usage>,
 }
 
-/// What a process takes.
+/// Resources that a process uses.
 #[derive(Clone, Copy, Debug)]
 pub struct Usage {
     /// Processor time since it was started.
     pub cpu: Duration,
     /// Memory in use, shared memory included.
     pub resident_bytes: u64,
-    /// Time since the stage's last sign of life.
+    /// Time since the stage's last heartbeat.
     pub silent: Duration,
 }
 
-/// What a pipeline did between two moments.
+/// Activity of a pipeline between two moments.
 #[derive(Debug, Default, Serialize)]
 pub struct PipelineActivity {
     /// Its name.
     pub pipeline: String,
-    /// Its stages that live, in the order of the file.
+    /// Its running stages, in the order of the file.
     pub stages: Vec<StageActivity>,
-    /// What they write.
+    /// Topics that they write.
     pub topics: Vec<TopicActivity>,
-    /// What they read.
+    /// Inputs that they read.
     pub inputs: Vec<InputActivity>,
     /// The links to other machines.
     pub links: Vec<LinkReport>,
 }
 
-/// What a stage did between two moments.
+/// Activity of a stage between two moments.
 #[derive(Debug, Serialize)]
 pub struct StageActivity {
     /// Its name.
@@ -80,15 +80,15 @@ pub struct StageActivity {
     pub process: u32,
     /// How often it was started in this run.
     pub starts: u64,
-    /// Messages worked on, in all.
+    /// Messages processed in total.
     pub messages: u64,
-    /// Messages worked on per second.
+    /// Messages processed per second.
     pub rate_hz: f64,
     /// Processor time, in percent of one core.
     pub cpu_percent: f64,
     /// Memory in use, shared memory included, in MB.
     pub memory_mb: f64,
-    /// Time since its last sign of life, in seconds; of a stage that waits at most about 0.1.
+    /// Time since its last heartbeat, in seconds; about 0.1 at most for a stage that waits.
     pub silent_s: f64,
     /// The stage that it waits for to take its messages, if it has waited for a tenth of a second.
     pub waits_for: Option<String>,
@@ -98,30 +98,30 @@ pub struct StageActivity {
     pub paused: bool,
     /// Time of a step, median, since the run began.
     pub compute_p50_ms: Option<f64>,
-    /// Time of a step, 99 of 100, since the run began.
+    /// Time of a step, 99th percentile, since the run began.
     pub compute_p99_ms: Option<f64>,
-    /// Items sent since the run began, by what they are called.
+    /// Items sent since the run began, by label.
     pub found: BTreeMap<String, u64>,
-    /// The same for each message that it worked on between the two moments.
+    /// Items sent per message processed between the two moments, by label.
     pub found_per_message: BTreeMap<String, f64>,
-    /// What it has counted itself since the run began, such as why something was not found.
+    /// The stage's own counters since the run began, such as reasons why something was not found.
     pub counters: BTreeMap<String, u64>,
 }
 
-/// What went into a topic between two moments.
+/// Traffic into a topic between two moments.
 #[derive(Debug, Default, Serialize)]
 pub struct TopicActivity {
     /// Its name.
     pub topic: String,
-    /// The stage that writes it; [`BRIDGE`] what comes from another machine.
+    /// The stage that writes it; [`BRIDGE`] for messages from another machine.
     pub writer: String,
-    /// Messages sent, in all.
+    /// Messages sent in total.
     pub sent: u64,
     /// Messages per second.
     pub rate_hz: f64,
     /// Megabytes per second.
     pub bandwidth_mbps: f64,
-    /// Shortest time between two messages; of what comes from another machine it is not known.
+    /// Shortest time between two messages; unknown for messages from another machine.
     pub interval_min_ms: Option<f64>,
     /// Longest time between two messages.
     pub interval_max_ms: Option<f64>,
@@ -129,34 +129,34 @@ pub struct TopicActivity {
     pub interval_std_ms: Option<f64>,
 }
 
-/// What came out of a topic for one stage.
+/// Traffic from a topic to one stage.
 #[derive(Debug, Default, Serialize)]
 pub struct InputActivity {
     /// Name of the topic.
     pub topic: String,
     /// The stage that reads it.
     pub reader: String,
-    /// Messages worked on.
+    /// Messages processed.
     pub received: u64,
-    /// Messages lost to newer ones.
+    /// Messages missed: replaced by newer ones, or lost.
     pub dropped: u64,
     /// Frames missing in the sequence.
     pub gaps: u64,
     /// Messages that came twice or out of order.
     pub late: u64,
-    /// Messages that made no sense.
+    /// Messages that were malformed.
     pub malformed: u64,
     /// Time from sending to receiving, median; of the driving input.
     pub hop_p50_ms: Option<f64>,
-    /// The same, 99 of 100.
+    /// Time from sending to receiving, 99th percentile.
     pub hop_p99_ms: Option<f64>,
     /// Time from the source to here, median; of the driving input.
     pub latency_p50_ms: Option<f64>,
-    /// The same, 99 of 100.
+    /// Time from the source to here, 99th percentile.
     pub latency_p99_ms: Option<f64>,
 }
 
-/// Looks at all pipelines of this user that run.
+/// Observes all running pipelines of this user.
 ///
 /// # Errors
 /// The user's folder cannot be read.
@@ -166,7 +166,7 @@ pub fn observe() -> Result<Observation, FolderError> {
     Ok(Observation { taken: Instant::now(), runs: runs.filter(lives).collect() })
 }
 
-/// Looks at the run of this pipeline; of a stage that has not begun there is nothing.
+/// Reads the records of this pipeline's run; a stage that has not begun has none.
 ///
 /// # Errors
 /// The user's folder cannot be read.
@@ -176,7 +176,7 @@ pub fn records(pipeline: &str) -> Result<RunRecord, FolderError> {
     Ok(folder.as_ref().and_then(RunRecord::read).unwrap_or_default())
 }
 
-/// What the process of a stage takes while it works; a record may outlive its process.
+/// Resources that a stage's process uses while it works; a record may outlive its process.
 fn usage(status: &Status) -> Option<Usage> {
     let (cpu, resident_bytes) = process_usage(status.process).filter(|_| status.life() == Life::Running)?;
     let silent = Duration::from_nanos(monotonic_ns().saturating_sub(status.alive_ns));
@@ -186,7 +186,7 @@ fn usage(status: &Status) -> Option<Usage> {
 /// Processor time and resident memory of a process, from /proc; `None` if there is none.
 fn process_usage(process: u32) -> Option<(Duration, u64)> {
     let stat = fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
-    // The name stands in parentheses and may hold anything; what follows the last one are fields 3 and on.
+    // The name stands in parentheses and may contain anything; the fields after the last parenthesis are 3 and on.
     let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
     let ticks: u64 = fields.get(11)?.parse::<u64>().ok()? + fields.get(12)?.parse::<u64>().ok()?;
     let pages: u64 = fields.get(21)?.parse().ok()?;
@@ -196,7 +196,7 @@ fn process_usage(process: u32) -> Option<(Duration, u64)> {
 }
 
 impl Observation {
-    /// What happened since an earlier look.
+    /// Activity since an earlier observation.
     pub fn since(&self, earlier: &Self) -> Vec<PipelineActivity> {
         let seconds = self.taken.duration_since(earlier.taken).as_secs_f64().max(1e-3);
         self.runs.iter().map(|run| run.activity(earlier, seconds)).collect()
@@ -209,7 +209,7 @@ impl Observation {
 }
 
 impl RunRecord {
-    /// What the run in this folder has counted; nothing where there is none.
+    /// Reads the counts of the run in this folder; `None` without a plan.
     fn read(folder: &RunFolder) -> Option<Self> {
         let Plan { pipeline, run, stages, .. } = folder.plan().ok()?;
         let record = |planned: PlannedStage| {
@@ -237,14 +237,14 @@ impl RunRecord {
 }
 
 impl StageRecord {
-    /// Its counts, and what its process takes, if one works.
+    /// Its counts and the usage of its process, if it runs.
     fn living(&self) -> Option<(&Status, Usage)> {
         Some((&self.status, self.usage?))
     }
 }
 
-/// What comes into a topic from another machine, as the bridge has reported it last; bytes are those in shared memory, as
-/// of every topic.
+/// Traffic into a topic from another machine, as the bridge last reported it; bytes are those in shared memory, as for every
+/// topic.
 fn arriving(edge: &EdgeReport) -> TopicActivity {
     let bytes_per_message = edge.memory_bytes as f64 / edge.messages.max(1) as f64;
     TopicActivity {
@@ -257,7 +257,7 @@ fn arriving(edge: &EdgeReport) -> TopicActivity {
     }
 }
 
-/// A stage at two moments; at only one if it was started meanwhile.
+/// A stage at two moments; at only one if it was started in between.
 struct Span<'a> {
     before: Option<(&'a Status, Usage)>,
     now: &'a Status,
@@ -271,7 +271,7 @@ impl Span<'_> {
         counted as f64 / self.seconds
     }
 
-    /// What was found in a message, on average.
+    /// Average number of items found per message.
     fn found_per_message(&self) -> BTreeMap<String, f64> {
         let Some((before, _)) = self.before else { return BTreeMap::new() };
         let messages = self.now.steps.saturating_sub(before.steps);

@@ -1,6 +1,6 @@
-//! Watches topics of a running pipeline from outside: every message that comes, checked, until the run is over.
+//! Watches topics of a running pipeline from outside: delivers every message, checked, until the run is over.
 //!
-//! A watcher sleeps between looks instead of being woken, so that a writer does nothing for it but pass it a pointer.
+//! A watcher polls instead of being woken, so that a writer does nothing for it but pass a pointer.
 
 use crate::hangup::ending_signals;
 use crate::item_type::{AnyMessage, ItemType};
@@ -20,41 +20,42 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-/// Shorter than a writer that runs flat out takes to fill the queue of an ordinary topic is not worth the processor time.
+/// Poll period. A writer at full speed takes longer to fill the queue of an ordinary topic; a shorter period would waste CPU
+/// time.
 const POLL_PERIOD: Duration = Duration::from_millis(1);
-/// How often a watcher without messages looks whether the run still goes on.
+/// Period at which a watcher without messages checks whether the run still goes on.
 const RUN_CHECK_PERIOD: Duration = Duration::from_millis(100);
 
-/// A pipeline that runs now.
+/// A running pipeline.
 pub struct RunningPipeline {
-    /// What its stages know of it.
+    /// Plan of the run.
     pub plan: Plan,
     folder: RunFolder,
 }
 
-/// Why a topic could not be watched.
+/// Reason why a topic could not be watched.
 #[derive(Debug, thiserror::Error)]
 pub enum WatchError {
-    /// Which pipeline or topic is meant, or that it cannot be done with it.
+    /// The pipeline or topic is ambiguous or missing, or does not allow the operation.
     #[error(transparent)]
     Unclear(Hinted),
-    /// The run's folder.
+    /// The run's folder cannot be used.
     #[error(transparent)]
     Folder(#[from] FolderError),
-    /// The shared memory.
+    /// The shared memory cannot be used.
     #[error(transparent)]
     Port(#[from] PortError),
-    /// Signals.
+    /// Signals cannot be received.
     #[error("signals cannot be received: {0}")]
     Signals(#[from] io::Error),
 }
 
-/// Looks into topics of a running pipeline.
+/// Reads topics of a running pipeline as an onlooker.
 pub struct Watcher {
     topics: Vec<(ItemType, String, SharedOnlooker)>,
     order: Order<SharedMessage>,
     memory: SharedMemory,
-    /// Forced when the run is over: whoever leaves last then sees to it that nothing is left.
+    /// Forced when the run is over: the last process to leave then waits for killed ones, and cleans up.
     stop: Stop,
     folder: RunFolder,
     run: u64,
@@ -63,7 +64,7 @@ pub struct Watcher {
 }
 
 impl Watcher {
-    /// Looks into these topics, which have these items, from now on. What is made of messages of one of them goes behind that one.
+    /// Starts to read these topics, which have these item types. A topic has to come after the topics from which it is computed.
     ///
     /// # Errors
     /// A topic cannot be read.
@@ -80,9 +81,8 @@ impl Watcher {
         Ok(Self { topics, order, memory, stop, folder, run, checked, nonsense })
     }
 
-    /// The next message, checked, with the number of its topic, in the order in which they were named; one that makes no sense is
-    /// left out, with a warning. Where there is none yet, the next look is worth while after a millisecond; none will come where
-    /// the run is over.
+    /// Returns the next message, checked, with the index of its topic in the list given to [`Watcher::new`]. Malformed messages
+    /// are skipped with a warning. `Pending`: poll again after a millisecond. `Over`: the run has ended.
     ///
     /// # Errors
     /// A topic cannot be read.
@@ -91,7 +91,7 @@ impl Watcher {
         if check {
             self.checked = Instant::now();
         }
-        // The run is looked at first: what was sent before it was over is then sure to be found.
+        // The run is checked first: all messages that were sent before it was over are then found.
         let over = check && !still_runs(&self.folder, self.run);
         let Self { topics, order, memory, nonsense, .. } = self;
         let found = order.next(|index| {
@@ -113,21 +113,21 @@ impl Watcher {
     }
 }
 
-/// In which order topics are looked into: in turn, but what a message was made of comes before it.
+/// Order in which topics are polled: in turn, but a message is returned after the messages from which it was computed.
 struct Order<M> {
-    /// How many messages wait in each topic at most.
+    /// Queue length of each topic.
     queues: Vec<usize>,
-    /// The topic whose turn it is.
+    /// Index of the next topic to poll.
     next: usize,
     held: Option<Held<M>>,
 }
 
-/// A message that was found. When its topic was looked into, what it was made of was there, but may not have been a moment before,
-/// when the topics in front of it were: these are looked into once more.
+/// A message that is held back. Those from which it was computed have been sent, but perhaps only after their topics were polled:
+/// these are polled once more before it is returned.
 struct Held<M> {
     index: usize,
     message: M,
-    /// So many messages of those topics may have been there.
+    /// Maximum number of messages that those topics may still hold.
     in_front: usize,
 }
 
@@ -136,7 +136,7 @@ impl<M> Order<M> {
         Self { queues, next: 0, held: None }
     }
 
-    /// The next message and the number of its topic, where `receive` brings the oldest that waits in a topic.
+    /// Returns the next message and the index of its topic; `receive` takes the oldest message of a topic.
     fn next<E>(&mut self, mut receive: impl FnMut(usize) -> Result<Option<M>, E>) -> Result<Option<(usize, M)>, E> {
         let (number, turn) = (self.queues.len(), self.next);
         for index in (0..number).map(|offset| (turn + offset) % number) {
@@ -163,12 +163,12 @@ fn still_runs(folder: &RunFolder, run: u64) -> bool {
     folder.is_running() && folder.plan().is_ok_and(|plan| plan.run == run)
 }
 
-/// Whether a watcher wants more.
+/// Whether a watcher wants more messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Watching {
-    /// It does.
+    /// Yes.
     GoOn,
-    /// It has seen enough.
+    /// No.
     Enough,
 }
 
@@ -182,7 +182,7 @@ impl RunningPipeline {
         Ok(running.filter_map(|folder| Some(Self { plan: folder.plan().ok()?, folder })).collect())
     }
 
-    /// The pipeline of this name, or the only one that runs; `how` says in an error how to tell which.
+    /// The pipeline of this name, or the only one that runs; `how` is the error's hint on how to name one.
     ///
     /// # Errors
     /// There is none, or there are several.
@@ -209,7 +209,7 @@ impl RunningPipeline {
         Ok(running.swap_remove(found))
     }
 
-    /// What both ends of a topic agreed on, if a stage writes or reads one of this name.
+    /// The topic of this name, if a stage writes or reads it.
     pub fn topic(&self, name: &str) -> Option<&Topic> {
         self.topics().find(|topic| topic.name == name)
     }
@@ -232,8 +232,8 @@ impl RunningPipeline {
         self.plan.topics()
     }
 
-    /// Calls `see` with each message of these topics, which have these items, from now on, until it has seen enough, the run is
-    /// over, or this process is told to end. Messages that make no sense are left out, with a warning.
+    /// Calls `see` with each new message of these topics, which have these item types, until it returns [`Watching::Enough`], the
+    /// run is over, or a signal ends this process. Malformed messages are skipped with a warning.
     ///
     /// # Errors
     /// A topic cannot be read, or `see` failed.
@@ -245,7 +245,7 @@ impl RunningPipeline {
         self.watch_while(topics, || Watching::GoOn, see)
     }
 
-    /// The same, where the watcher is asked from time to time, also when no message comes, whether it wants more.
+    /// The same, and calls `wants` regularly, even without messages, to ask whether to go on.
     ///
     /// # Errors
     /// A topic cannot be read, or `see` failed.
@@ -257,7 +257,7 @@ impl RunningPipeline {
     ) -> Result<(), E> {
         let terminated = termination_flag().map_err(WatchError::from)?;
         let mut watcher = match Watcher::new(self, topics) {
-            // What there was to look into went with the run.
+            // The topics vanished with the run.
             Err(_) if !self.still_runs() => return Ok(()),
             made => made?,
         };
@@ -284,15 +284,15 @@ impl RunningPipeline {
         Ok(())
     }
 
-    /// Replaces `stage` by what stands in `plan`, which differs from the plan of this run in nothing else.
+    /// Replaces `stage` by its version in `plan`, which differs from the plan of this run in nothing else.
     ///
     /// # Errors
-    /// Why it was not; the stage that was to be replaced is at work then.
+    /// The reason why it was not replaced; the old stage then works on.
     pub fn swap(&self, stage: &str, plan: Plan) -> Result<(), SwapError> {
         self.folder.ask_for_swap(stage, plan)
     }
 
-    /// Its sources on this machine that are at work, and whether they are paused.
+    /// Its sources that are at work on this machine, and whether they are paused.
     pub fn sources(&self) -> Sources {
         let mut sources = Sources::default();
         for planned in self.plan.stages.iter().filter(|planned| planned.is_source() && !planned.is_bridge()) {
@@ -308,7 +308,7 @@ impl RunningPipeline {
         sources
     }
 
-    /// Pauses its sources on this machine or lets them go on; which they are, and whether they are paused now.
+    /// Pauses or resumes its sources on this machine, and returns them.
     ///
     /// # Errors
     /// None of them can be paused, or the run's folder cannot be written.
@@ -333,10 +333,10 @@ impl RunningPipeline {
     }
 }
 
-/// Raised from now on by the signals that end a program, so that this one can leave its place in order.
+/// Returns a flag that the signals that end a program set from now on, so that this one can leave in order.
 ///
 /// # Errors
-/// The system does not let them be received.
+/// The system refuses to deliver signals.
 pub fn termination_flag() -> io::Result<Arc<AtomicBool>> {
     let told = Arc::new(AtomicBool::new(false));
     for signal in ending_signals() {
@@ -345,7 +345,7 @@ pub fn termination_flag() -> io::Result<Arc<AtomicBool>> {
     Ok(told)
 }
 
-/// Whether a message is to be seen: it makes sense, and is not the end of a stream.
+/// Whether a message is to be returned: it is well-formed, and is not the end of a stream.
 fn is_sound(topic: &str, item: &ItemType, message: &SharedMessage, nonsense: &mut ThrottledWarning) -> bool {
     if message.header().ends_stream() {
         return false;
@@ -363,8 +363,8 @@ mod tests {
     use std::collections::VecDeque;
     use std::convert::Infallible;
 
-    /// Numbers of the messages in the order in which they are seen, where a topic of images is followed by one of lists;
-    /// `arrives` puts in what comes while topics are looked into, by the number of looks so far.
+    /// Returns the numbers of the messages in the order in which they are returned, for a topic of images followed by one of
+    /// lists. `arrives` adds messages while topics are polled; its first argument is the number of polls so far.
     fn seen(arrives: impl Fn(usize, &mut [VecDeque<u32>; 2]), queues: [usize; 2], number: usize) -> Vec<(usize, u32)> {
         let (mut order, mut topics, mut looks) = (Order::new(queues.to_vec()), <[VecDeque<u32>; 2]>::default(), 0);
         let mut receive = |index: usize| {
@@ -378,7 +378,7 @@ mod tests {
 
     #[test]
     fn an_image_comes_before_the_list_that_was_made_of_it() {
-        // Both come between the look for an image and the one for a list.
+        // Both come between the poll of the images and that of the lists.
         let arrives = |looks: usize, topics: &mut [VecDeque<u32>; 2]| {
             if looks == 1 {
                 topics.iter_mut().for_each(|topic| topic.push_back(7));

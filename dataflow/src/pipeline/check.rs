@@ -1,4 +1,4 @@
-//! The stages of a pipeline checked against each other: topics, kinds of message, cycles, machines.
+//! Checks the stages of a pipeline against each other: topics, kinds of message, cycles, machines.
 
 use super::diagnostic::{Diagnostic, suggestion};
 use super::{BRIDGE, Input, Pipeline, Program, StageSpec};
@@ -9,7 +9,7 @@ use crate::side_inputs::Pairing;
 use conicflow_messages::{AnyByte, Item, Nothing, Object};
 use std::collections::BTreeSet;
 
-/// Checks how the stages are joined.
+/// Checks the connections between stages.
 pub(super) fn connections(pipeline: &Pipeline, faults: &mut Vec<Diagnostic>) {
     for stage in &pipeline.stages {
         ends(stage, faults);
@@ -21,7 +21,7 @@ pub(super) fn connections(pipeline: &Pipeline, faults: &mut Vec<Diagnostic>) {
     cycles(pipeline, faults);
 }
 
-/// Whether a stage has the input and the output that its node needs, and no other.
+/// Checks that a stage has the input and the output that its node needs, and no other.
 fn ends(stage: &StageSpec, faults: &mut Vec<Diagnostic>) {
     let Program::Node(node) = &stage.program else { return };
     let name = &stage.name;
@@ -110,12 +110,12 @@ fn fits(pipeline: &Pipeline, node: &Node, input: &Input, accepted: &[&str], faul
     faults.push(Diagnostic::error(&input.place, what, hint));
 }
 
-/// Whether an input that takes `accepted` takes what a topic with `kind` carries: the same, or a list of any type.
+/// Whether an input that takes `accepted` takes a topic of the kind `kind`: the same kind, or a list for an input of any type.
 fn accepts(pipeline: &Pipeline, accepted: &str, kind: &str) -> bool {
     accepted == kind || (accepted == AnyByte::NAME && pipeline.item(kind).is_some_and(|item| !item.is_image()))
 }
 
-/// Whether a node that takes several kinds of message can tell which of them it gets.
+/// Checks that the kind of an input is known, for a node that takes several kinds.
 fn kind_is_known(pipeline: &Pipeline, node: &Node, input: &Input, accepted: &[&str], faults: &mut Vec<Diagnostic>) {
     let topic = &input.topic;
     let mut writers = pipeline.stages.iter().filter(|stage| stage.output.as_ref() == Some(topic));
@@ -166,7 +166,7 @@ fn output(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) 
     }
 }
 
-/// The sources whose frames a stage works on.
+/// The sources of the frames that a stage processes.
 fn sources<'a>(pipeline: &'a Pipeline, stage: &'a StageSpec) -> BTreeSet<&'a str> {
     let (mut found, mut seen, mut open) = (BTreeSet::new(), BTreeSet::new(), vec![stage]);
     while let Some(stage) = open.pop() {
@@ -203,7 +203,7 @@ fn machine(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>)
     }
 }
 
-/// What only edges between machines demand: a name that is free for the bridge, and compression for what is long.
+/// Checks requirements of edges between machines: a free name for the bridge, and compression for long messages.
 fn bridged(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) {
     if stage.name == BRIDGE && !pipeline.crossings().is_empty() {
         let what = format!("a stage cannot be called `{BRIDGE}` where edges cross machines");
@@ -237,7 +237,7 @@ fn bridged(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>)
     }
 }
 
-/// Cycles in which each stage would wait for the next: only an input that is read as latest value may close one.
+/// Reports cycles in which each stage would wait for the next. An input that is read as latest value may close a cycle.
 fn cycles(pipeline: &Pipeline, faults: &mut Vec<Diagnostic>) {
     let mut done = vec![false; pipeline.stages.len()];
     for start in 0..pipeline.stages.len() {
@@ -256,7 +256,7 @@ fn cycles(pipeline: &Pipeline, faults: &mut Vec<Diagnostic>) {
     }
 }
 
-/// Follows the inputs that a stage waits for; a cycle is returned in the direction of the data.
+/// Follows the inputs that a stage waits for. Returns a cycle in the direction of the data.
 fn find_cycle(pipeline: &Pipeline, path: &mut Vec<usize>, done: &mut [bool]) -> Option<Vec<usize>> {
     let current = *path.last()?;
     if done[current] {

@@ -1,4 +1,4 @@
-//! What is wrong with a pipeline file: where, what, and what to do about it.
+//! Faults of a pipeline file, with position and hint.
 
 use conicflow_messages::{is_harmless, plain};
 use serde::{Deserialize, Serialize};
@@ -6,7 +6,7 @@ use std::fmt::{self, Display};
 use std::ops::Range;
 use std::sync::Arc;
 
-/// A text that a pipeline comes from: the file, or one `--set`.
+/// A text that a pipeline is read from: the file, or one `--set`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SourceText {
     /// Its name in messages.
@@ -15,7 +15,7 @@ pub struct SourceText {
     pub text: String,
 }
 
-/// A piece of a [`SourceText`].
+/// A range of a [`SourceText`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct SourceSpan {
     pub(crate) source: Arc<SourceText>,
@@ -23,7 +23,7 @@ pub(crate) struct SourceSpan {
 }
 
 impl SourceSpan {
-    /// Line and column, both from 1, and the line itself.
+    /// Line and column, both from 1, and the text of the line.
     fn position(&self) -> (usize, usize, &str) {
         let text = &self.source.text;
         let start = text.floor_char_boundary(self.span.start.min(text.len()));
@@ -34,22 +34,22 @@ impl SourceSpan {
     }
 }
 
-/// More of a line is not shown, in characters.
+/// Maximum number of characters of a line that are shown.
 const WIDEST_LINE: usize = 300;
 
-/// How bad it is.
+/// Severity of a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Severity {
-    /// Nothing starts from this file.
+    /// The pipeline cannot start.
     Error,
-    /// It works, but perhaps not as it was meant.
+    /// The pipeline works, but perhaps not as intended.
     Warning,
 }
 
-/// One thing that is wrong.
+/// One fault.
 #[derive(Clone, Debug)]
 pub struct Diagnostic {
-    /// How bad it is.
+    /// Its severity.
     pub severity: Severity,
     pub(crate) place: SourceSpan,
     pub(crate) what: String,
@@ -79,8 +79,7 @@ impl Display for Diagnostic {
             first_line.chars().count().max(1)
         });
         writeln!(f, "{severity}: {}:{line}:{column}: {}", plain(&self.place.source.name), plain(&self.what))?;
-        // Of a line that is far too long the piece around the place is shown, of a letter that steers a terminal that it is
-        // there.
+        // Of a very long line only the part around the fault is shown. A control character is replaced, so that it is seen.
         let first = (column - 1).saturating_sub(WIDEST_LINE / 2);
         let shown = |letter| if is_harmless(letter) { letter } else { char::REPLACEMENT_CHARACTER };
         let text: String = text.chars().skip(first).take(WIDEST_LINE).map(shown).collect();
@@ -92,13 +91,12 @@ impl Display for Diagnostic {
     }
 }
 
-/// All that is wrong with a pipeline file, in the order of its lines.
+/// All faults of a pipeline file, in the order of its lines.
 #[derive(Clone, Debug, Default)]
 pub struct Report(pub Vec<Diagnostic>);
 
 impl Report {
-    /// Puts what was found in the order of the text. Warnings wait until there are no errors, of which they may be the
-    /// consequence.
+    /// Sorts faults by position. Warnings are dropped if there are errors, of which they may be consequences.
     pub(crate) fn in_order(mut found: Vec<Diagnostic>) -> Self {
         let errors = found.iter().any(Diagnostic::is_error);
         found.retain(|diagnostic| diagnostic.is_error() || !errors);
@@ -106,7 +104,7 @@ impl Report {
         Self(found)
     }
 
-    /// Whether nothing may start from this file.
+    /// Whether the pipeline cannot start.
     pub fn has_errors(&self) -> bool {
         self.0.iter().any(Diagnostic::is_error)
     }
@@ -130,7 +128,7 @@ pub(crate) fn closest<'a>(word: &str, candidates: impl IntoIterator<Item = &'a s
     (best.0 <= 1 + word.chars().count() / 3).then_some(best.1)
 }
 
-/// "did you mean `x`?", or else what there is to choose from.
+/// "did you mean `x`?", or else a list of the candidates.
 pub fn suggestion<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str> + Clone, plural: &str) -> String {
     match closest(word, candidates.clone()) {
         Some(candidate) => format!("did you mean `{candidate}`?"),

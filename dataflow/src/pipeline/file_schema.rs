@@ -1,7 +1,7 @@
-//! The JSON schema of a pipeline file, by which editors complete and check it.
+//! The JSON schema of a pipeline file, with which editors complete and check it.
 //!
-//! What a node's parameters are comes from the types of their configurations; what stands here are the keys that the file itself
-//! has. `conicflow validate` sees more: whether topics fit together, files are there, and endpoints can be used.
+//! Schemas of a node's parameters are generated from the types of their configurations; this module adds the keys of the file
+//! itself. `conicflow validate` checks more: whether topics fit together, files exist, and endpoints can be used.
 
 use super::read::MAX_STAGE_NAME;
 use super::read::inputs::{COMPRESSIONS, DELIVERIES, MAX_QUEUE};
@@ -13,17 +13,17 @@ use crate::node::Node;
 use conicflow_messages::{Item, Nothing};
 use serde_json::{Map, Value as Json, json};
 
-/// Where the schema keeps what it refers to, and where those of nodes do.
+/// Keys of the definitions in this schema, and in those of nodes.
 const DEFINITIONS: &str = "definitions";
 const OF_NODE: &str = "$defs";
 
-/// The key of a stage that is a program of one's own, and the schema of its table.
+/// Key of a stage that runs a program, and name of the schema of its table.
 const PROGRAM: &str = "program";
 
-/// The keys that the table of each stage has, whatever it is; each is a definition of the same name.
+/// Keys of the table of every stage; each is a definition of the same name.
 const OF_EACH_STAGE: [&str; 3] = ["machine", "restart", "env"];
 
-/// The schema of files whose stages may be these nodes.
+/// Schema of files whose stages may use these nodes.
 pub fn file_schema<'a>(nodes: impl IntoIterator<Item = &'a Node>) -> Json {
     let mut definitions = of_stages();
     let nodes: Vec<&Node> = nodes.into_iter().collect();
@@ -60,8 +60,9 @@ pub fn file_schema<'a>(nodes: impl IntoIterator<Item = &'a Node>) -> Json {
     })
 }
 
-/// A stage: its `node`, or that it has a `program`, says which schema it has to fit, so that the fault itself is told. taplo, by
-/// which editors complete, looks into no `then`, but into each branch of a choice: there is one more, which every table fits.
+/// Schema of a stage. Its `node`, or the presence of `program`, selects the schema that it has to match, so that errors name the
+/// actual fault. taplo, which editors use for completion, ignores `then`, but looks into each branch of a choice: so there is a
+/// further choice, which every table matches.
 fn stage(nodes: &[&str]) -> Json {
     let of_node =
         |name| json!({ "if": { "required": ["node"], "properties": { "node": { "const": name } } }, "then": to(name) });
@@ -73,7 +74,7 @@ fn stage(nodes: &[&str]) -> Json {
     json!({ "type": "object", "allOf": faults, "anyOf": completions })
 }
 
-/// A stage that is a node; what its schema refers to goes into `definitions`, where nodes share what is the same.
+/// Schema of a stage that is a node. Its definitions go into `definitions`, where nodes share equal ones.
 fn of_node(node: &Node, definitions: &mut Map<String, Json>) -> Json {
     let mut schema = node.schema();
     without_null(&mut schema);
@@ -111,7 +112,7 @@ fn of_node(node: &Node, definitions: &mut Map<String, Json>) -> Json {
     json!({ "title": title, "type": "object", "required": ["node"], "properties": properties, "additionalProperties": false })
 }
 
-/// A stage that is a program of one's own: further keys are its own.
+/// Schema of a stage that runs a program: further keys are the program's own.
 fn of_program() -> Json {
     let mut properties = Map::new();
     let program = json!({
@@ -128,7 +129,7 @@ fn of_program() -> Json {
     json!({ "title": PROGRAM, "type": "object", "required": [PROGRAM], "properties": properties, "not": not })
 }
 
-/// What the tables of stages refer to.
+/// Definitions for the tables of stages.
 fn of_stages() -> Map<String, Json> {
     let when = json!({ "type": "string", "enum": RESTARTS.map(|(word, _)| word), "default": "on_failure" });
     let hang_s = json!({
@@ -245,12 +246,12 @@ fn to(definition: &str) -> Json {
 }
 
 fn reference(definition: &str, description: &str) -> Json {
-    // Readers of a schema pass over what stands beside a `$ref`, but not beside a list that has one.
+    // Validators ignore keys beside a `$ref`, but not beside an `allOf` that contains one.
     json!({ "description": description, "allOf": [to(definition)] })
 }
 
-/// Leaves out what may be nothing: in TOML that is a key that is not there, and of a choice that has one branch left the fault is
-/// told.
+/// Removes `null` from types and choices: in TOML such a key is absent. If a choice has one branch left, errors name its actual
+/// fault.
 fn without_null(schema: &mut Json) {
     match schema {
         Json::Object(entries) => {
@@ -277,7 +278,7 @@ fn without_null(schema: &mut Json) {
     }
 }
 
-/// Lets what is wrong with a word or with a table be told by name: of a choice, only that none of its branches fits would be.
+/// Rewrites choices so that errors name the faulty word or key; for a choice, a validator says only that no branch matches.
 fn with_named_faults(schema: &mut Json, types: &Json) {
     words(schema);
     one_of_several_tables(schema);
@@ -289,7 +290,8 @@ fn with_named_faults(schema: &mut Json, types: &Json) {
     }
 }
 
-/// A choice of words becomes their list; what each means stays where editors find it, after a branch that everything fits.
+/// Turns a choice of words into an `enum`. Their descriptions stay for editors, in a choice with a first branch that everything
+/// matches.
 fn words(schema: &mut Json) {
     let Some(branches) = schema.get("oneOf").and_then(Json::as_array) else { return };
     let words: Option<Vec<_>> = branches.iter().map(|branch| branch.get("const").cloned()).collect();
@@ -303,7 +305,7 @@ fn words(schema: &mut Json) {
     }
 }
 
-/// A choice of tables that have one key each, each another, becomes one table that has one of these keys.
+/// Turns a choice of tables with one key each, all different, into one table with exactly one of these keys.
 fn one_of_several_tables(schema: &mut Json) {
     let Some(branches) = schema.get("oneOf").and_then(Json::as_array) else { return };
     let properties =
@@ -319,8 +321,8 @@ fn one_of_several_tables(schema: &mut Json) {
     }
 }
 
-/// Of a choice between types, the branch of the type that is there has to fit; `types` knows what it refers to. The choice itself
-/// stays for editors, after a branch that everything fits.
+/// Turns a choice between types into conditions: the branch of the value's type has to match. `types` resolves references. The
+/// choice itself stays for editors, with a first branch that everything matches.
 fn by_type(schema: &mut Json, types: &Json) {
     let Some(branches) = schema.get("anyOf").and_then(Json::as_array) else { return };
     let kinds: Option<Vec<_>> = branches.iter().map(|branch| type_of(branch, types)).collect();
@@ -335,7 +337,7 @@ fn by_type(schema: &mut Json, types: &Json) {
     }
 }
 
-/// The type of all that fits a schema, where that is one.
+/// The type of all values that match a schema, if there is only one.
 fn type_of<'a>(schema: &'a Json, types: &'a Json) -> Option<Json> {
     if let Some(target) = schema.get("$ref").and_then(Json::as_str) {
         return type_of(types.pointer(target.strip_prefix('#')?)?, types);
@@ -345,7 +347,7 @@ fn type_of<'a>(schema: &'a Json, types: &'a Json) -> Option<Json> {
     schema.get("type").filter(|kind| kind.is_string()).cloned().or_else(of_first)
 }
 
-/// Lets all references that begin with `old` begin with `new`.
+/// Replaces the prefix `old` of all references by `new`.
 fn refer(schema: &mut Json, old: &str, new: &str) {
     match schema {
         Json::Object(entries) => {

@@ -1,5 +1,5 @@
-//! What a run reads is never what it writes, and no file is written by two: the files of all stages compared with each other, and
-//! with the pipeline file.
+//! Compares the files of all stages with each other and with the pipeline file: no file that a run reads is written, and none is
+//! written twice.
 
 use super::diagnostic::Diagnostic;
 use super::{Pipeline, Program, StageSpec};
@@ -9,7 +9,7 @@ use conicflow_messages::Hinted;
 use serde_json::Value as Json;
 use std::path::Path;
 
-/// Files and who names them: a parameter of a stage, or nobody but the command line.
+/// Files, and the stage whose parameter names them; `None`: the pipeline file itself.
 struct Named<'a> {
     stage: Option<&'a StageSpec>,
     files: FileUse,
@@ -23,13 +23,14 @@ impl Named<'_> {
         }
     }
 
-    /// Whether both are on one machine, as far as the file tells.
+    /// Whether both are on one machine, as far as the file says.
     fn is_beside(&self, other: &Self) -> bool {
         self.stage.zip(other.stage).is_none_or(|(stage, other)| stage.machine == other.machine)
     }
 }
 
-/// Refuses stages that write what the run reads, or what another one writes: on `machine`, or where none is named on each.
+/// Reports stages that write a file that the run reads, or that another stage writes: on `machine`, or without one on each
+/// machine.
 pub(super) fn overwritten(pipeline: &Pipeline, machine: Option<&str>, faults: &mut Vec<Diagnostic>) {
     let written = named(pipeline, machine, |node| node.writes);
     if written.is_empty() {
@@ -52,14 +53,14 @@ pub(super) fn overwritten(pipeline: &Pipeline, machine: Option<&str>, faults: &m
 }
 
 impl Pipeline {
-    /// What is wrong with writing `files`, which `writer` names, beside a run of this pipeline.
+    /// Error if `files`, which `writer` names, may overwrite files that a run of this pipeline reads.
     pub fn over_what_it_reads(&self, files: &FileUse, writer: &str) -> Option<Hinted> {
         let over = |other: &Named<'_>| files.over_what_is_read(writer, &other.files, &other.in_words());
         read(self, None).iter().find_map(over)
     }
 }
 
-/// What the run reads: the files of its stages, and the pipeline file.
+/// Files that the run reads: those of its stages, and the pipeline file.
 fn read<'a>(pipeline: &'a Pipeline, machine: Option<&str>) -> Vec<Named<'a>> {
     let mut read = named(pipeline, machine, |node| node.reads);
     let file = Path::new(&pipeline.source.0.name);

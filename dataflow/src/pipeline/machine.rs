@@ -1,4 +1,4 @@
-//! What a pipeline file says of its machines and of the edges between them.
+//! Settings of a pipeline file for its machines and the edges between them.
 
 use super::metrics::Metrics;
 use conicflow_messages::Hinted;
@@ -16,25 +16,25 @@ pub struct Machine {
     pub listen: Vec<String>,
     /// Zenoh endpoints that it connects to.
     pub connect: Vec<String>,
-    /// A file with a Zenoh configuration of one's own, which adds to this one and overrides it.
+    /// A file with a Zenoh configuration, which extends and overrides these settings.
     pub zenoh: Option<PathBuf>,
-    /// The secret that all machines of the pipeline share ([`LinkKey`](crate::LinkKey)).
+    /// File of the key that all machines of the pipeline share ([`LinkKey`](crate::LinkKey)).
     pub key: Option<PathBuf>,
-    /// Endpoints that others can reach may be open to everyone, and whatever comes there is believed.
+    /// Whether endpoints that others can reach may be used without authentication.
     pub insecure: bool,
-    /// Lossless edges from here wait so long for a machine that has gone; `None`: the default, in seconds.
+    /// Time for which lossless edges from here wait for a lost machine, in seconds; `None`: the default.
     pub outage_s: Option<f64>,
-    /// Where its launcher offers the metrics of the run, in place of what the file says for all; no stage needs to know.
+    /// Metrics endpoint of its launcher, in place of the file's common one; no stage needs it.
     #[serde(skip)]
     pub metrics: Option<Metrics>,
 }
 
-/// How depth images and long lists, such as ellipses, are compressed on their way to another machine, always without loss; short
-/// lists would not gain by it.
+/// Lossless compression of depth images and long lists, such as ellipses, on their way to another machine. Short lists are never
+/// compressed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Compression {
-    /// Not at all: a link that is faster than the processor.
+    /// None, for a link that is faster than the processor.
     None,
     /// LZ4: a half to a quarter of an image's bytes at the least cost.
     Lz4,
@@ -43,10 +43,10 @@ pub enum Compression {
     Zstd,
 }
 
-/// Whether something can be an endpoint: one that cannot be opened would be tried for ever.
+/// Checks whether a text is an endpoint: a connection to an invalid one would be retried for ever.
 ///
 /// # Errors
-/// It cannot.
+/// It is not.
 pub fn check_endpoint(endpoint: &str) -> Result<(), Hinted> {
     let parts = split_endpoint(endpoint).and_then(|(protocol, address)| Some((protocol, address.rsplit_once(':')?)));
     let is_known = |protocol| matches!(protocol, "tcp" | "udp" | "tls" | "quic");
@@ -64,7 +64,7 @@ pub fn check_endpoint(endpoint: &str) -> Result<(), Hinted> {
     Err(Hinted::new(format!("`{endpoint}` is no endpoint"), hint))
 }
 
-/// Whether the host of an endpoint has an address, by its name or as it stands there. That may take seconds.
+/// Checks whether the host of an endpoint has an address. Looking up a name may take seconds.
 ///
 /// # Errors
 /// It has none.
@@ -75,7 +75,7 @@ pub fn check_host(endpoint: &str) -> Result<(), Hinted> {
     Err(Hinted::new(format!("the host of `{endpoint}` is not known here: {error}"), hint))
 }
 
-/// The protocol of an endpoint, and its host with the port.
+/// Splits an endpoint into its protocol and its host with port.
 pub fn split_endpoint(endpoint: &str) -> Option<(&str, &str)> {
     endpoint.split(['#', '?']).next()?.split_once('/')
 }

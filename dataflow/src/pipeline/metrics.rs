@@ -1,18 +1,18 @@
-//! What a pipeline file says of the metrics of its run.
+//! Metrics settings of a pipeline file.
 
 use std::net::SocketAddr;
 
-/// Where the launcher offers the metrics of a run, and to whom.
+/// Address at which the launcher serves the metrics of a run, and the token for access.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Metrics {
-    /// The address.
+    /// Address to listen on.
     pub listen: SocketAddr,
-    /// What has to be known to read them; `None`: nothing.
+    /// Token that a client needs to read them; `None`: no token.
     pub token: Option<String>,
 }
 
 impl Metrics {
-    /// Whether anyone on the network may read them.
+    /// Whether anybody on the network may read them.
     pub fn is_open_to_others(&self) -> bool {
         self.token.is_none() && !self.listen.ip().is_loopback()
     }

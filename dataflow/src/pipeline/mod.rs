@@ -1,7 +1,7 @@
-//! The pipeline file: which stages there are, where they run, and what joins them.
+//! The pipeline file: its stages, their machines, and the topics between them.
 //!
-//! Reading it takes three steps, and each reports all that it finds before the next begins: TOML into a tree that knows its
-//! places ([`value`]), the tree into stages ([`read`]), and the stages checked against each other ([`check`]).
+//! Reading takes three steps, each of which reports all its faults before the next begins: TOML into a tree with positions
+//! ([`value`]), the tree into stages ([`read`]), and checks of the stages against each other ([`check`]).
 
 mod check;
 mod diagnostic;
@@ -33,11 +33,11 @@ use std::sync::Arc;
 impl Pipeline {
     /// Reads and checks a pipeline.
     ///
-    /// `base` is the folder against which its paths are resolved, `overrides` are `STAGE.KEY=VALUE`, `registry` what it may use.
-    /// The report beside the pipeline holds warnings only.
+    /// `base` is the folder against which its paths are resolved, `overrides` are `STAGE.KEY=VALUE`, `registry` has the nodes and
+    /// the network part that it may use. The returned report holds only warnings.
     ///
     /// # Errors
-    /// All that is wrong with it, at once.
+    /// All faults of it, at once.
     pub fn read(
         source: SourceText,
         base: &Path,
@@ -47,10 +47,10 @@ impl Pipeline {
         Self::read_on(None, source, base, overrides, registry)
     }
 
-    /// The same on one of its machines: what the others need of files and programs need not be here.
+    /// Reads and checks a pipeline for one of its machines: files and programs of the others may be missing here.
     ///
     /// # Errors
-    /// All that is wrong with it, at once.
+    /// All faults of it, at once.
     pub fn read_on(
         machine: Option<&str>,
         source: SourceText,

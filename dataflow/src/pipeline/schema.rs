@@ -1,6 +1,7 @@
-//! Checks a node's parameters against the JSON schema of its configuration, and says where each fault stands.
+//! Checks a node's parameters against the JSON schema of its configuration, and reports the position of each fault.
 //!
-//! The schema comes from the configuration's type, so that names, types, ranges, defaults and descriptions have one home.
+//! The schema is generated from the configuration's type, which is the only source of names, types, ranges, defaults and
+//! descriptions.
 
 use super::diagnostic::{Diagnostic, SourceSpan, closest, suggestion};
 use super::value::{Content, Table, Value};
@@ -8,21 +9,21 @@ use conicflow_messages::Hinted;
 use schemars::JsonSchema;
 use serde_json::Value as Json;
 
-/// Checks the entries of `table` against the object schema `schema`; `owner` names whose parameters they are.
-/// `reserved` are keys that have been read already, and may have been misspelt.
+/// Checks the entries of `table` against the object schema `schema`; `owner` names the owner of the parameters. `reserved` are
+/// keys that were read before, which an unknown key may misspell.
 pub(crate) fn check_table(table: &Table, schema: &Json, reserved: &[&str], owner: &str) -> Vec<Diagnostic> {
     let mut checker = Checker { root: schema, faults: Vec::new() };
     checker.table(table, schema, reserved, owner);
     checker.faults
 }
 
-/// The first thing that is wrong with a value that is described as in a pipeline file, but comes from elsewhere, such as from a
-/// program in Python: a name, a type or a range that the schema of `T` does not have. `name` is what it is called there.
+/// Returns the first fault of a value against the schema of `T`: a name, a type or a range. The value has the form of one in a
+/// pipeline file, but comes from elsewhere, such as a Python program, where it is called `name`.
 pub fn value_fault<T: JsonSchema>(name: &str, value: &Json) -> Option<Hinted> {
     fault_by(&schema_of::<T>(), name, value)
 }
 
-/// The same of a value that `schema` describes.
+/// The same with an explicit schema.
 pub(crate) fn fault_by(schema: &Json, name: &str, value: &Json) -> Option<Hinted> {
     let mut checker = Checker { root: schema, faults: Vec::new() };
     checker.value(name, &Value::without_place(value), schema);
@@ -45,7 +46,7 @@ impl<'a> Checker<'a> {
         self.faults.push(Diagnostic::error(place, what, hint));
     }
 
-    /// The schema itself where `schema` only refers to it.
+    /// Resolves a schema that only refers to another one.
     fn resolve(&self, schema: &'a Json) -> &'a Json {
         let target = schema.get("$ref").and_then(Json::as_str).and_then(|reference| {
             let path = reference.strip_prefix('#')?;
@@ -56,10 +57,10 @@ impl<'a> Checker<'a> {
 
     fn table(&mut self, table: &Table, schema: &'a Json, reserved: &[&str], owner: &str) {
         let properties = schema.get("properties").and_then(Json::as_object);
-        // of a map, whose keys are free, the schema of all values
+        // schema of all values, for a map with free keys
         let any = schema.get("additionalProperties").filter(|any| any.is_object());
         if properties.is_none() && schema.get("additionalProperties").is_none() {
-            return; // described as any table
+            return; // a table of any content
         }
         for entry in &table.0 {
             if let Some(property) = properties.and_then(|properties| properties.get(&entry.key)).or(any) {
@@ -147,7 +148,7 @@ impl<'a> Checker<'a> {
         }
     }
 
-    /// What a property may be: the branches of a choice, or the schema alone.
+    /// The schemas that a property may match: the branches of a choice, or the schema itself.
     fn alternatives(&self, property: &'a Json) -> Vec<&'a Json> {
         let property = self.resolve(property);
         let branches = property.get("anyOf").or_else(|| property.get("oneOf")).and_then(Json::as_array);
@@ -158,7 +159,7 @@ impl<'a> Checker<'a> {
     }
 }
 
-/// What a parameter is for, and its default: the hint of all that is wrong with its value.
+/// Description of a parameter, with its default; the hint for all faults of its value.
 fn describe(property: &Json) -> String {
     let text = property.get("description").and_then(Json::as_str).unwrap_or("").replace('\n', " ");
     let default = property.get("default").filter(|default| !default.is_null());

@@ -1,4 +1,4 @@
-//! A pipeline as its file describes it: the stages, where they run, and what joins them.
+//! A pipeline as its file describes it: the stages, their machines, and the topics between them.
 
 use super::diagnostic::{SourceSpan, SourceText};
 use super::machine::{BRIDGE, Compression, Machine};
@@ -14,7 +14,7 @@ use std::path::PathBuf;
 
 /// A pipeline, read and checked.
 pub struct Pipeline {
-    /// Its name: two pipelines of different names on one machine do not meet.
+    /// Its name. It is a namespace: pipelines with different names on one machine are separate.
     pub name: String,
     /// Folder of the file; relative paths are resolved against it.
     pub base: PathBuf,
@@ -24,11 +24,11 @@ pub struct Pipeline {
     pub items: Vec<ItemType>,
     /// The stages, in the order of the file.
     pub stages: Vec<StageSpec>,
-    /// Where the launchers of machines offer the metrics of the run that say nothing of their own; without it, nowhere.
+    /// Endpoint of the run's metrics for machines that have none of their own; `None`: the metrics are not served.
     pub metrics: Option<Metrics>,
-    /// What the file says under `experiment`; it is for whoever runs the pipeline, none of the stages see it.
+    /// The file's `experiment` table. It is for the user of the pipeline; no stage sees it.
     pub experiment: Option<Json>,
-    /// The text that it was read from, and what was set beside it.
+    /// The text that it was read from, and the overrides (`--set`).
     pub source: (SourceText, Vec<String>),
 }
 
@@ -36,25 +36,25 @@ pub struct Pipeline {
 pub struct StageSpec {
     /// Its name.
     pub name: String,
-    /// What runs.
+    /// What it runs.
     pub program: Program,
-    /// What drives it.
+    /// Its driving input.
     pub input: Option<Input>,
     /// Its side inputs, by name.
     pub inputs: Vec<(String, Input)>,
     /// The topic that it writes.
     pub output: Option<String>,
-    /// What it writes there, where the file says so: of a program of one's own no node tells it.
+    /// Kind of its output, where the file gives it: a program has no node that determines it.
     pub output_said: Option<String>,
-    /// Where it runs.
+    /// Machine that it runs on.
     pub machine: Option<String>,
-    /// What happens when it dies.
+    /// When it is restarted.
     pub restart: Restart,
-    /// Without a sign of life for so long, in seconds, it counts as dead; `None`: it is reported.
+    /// Time without a heartbeat, in seconds, after which it is killed; `None`: it is only reported.
     pub hang_s: Option<f64>,
-    /// So many seconds after its start it has to take part in a lossless topic; `None`: the usual time.
+    /// Time after its start within which it has to join a lossless topic, in seconds; `None`: the default.
     pub join_s: Option<f64>,
-    /// Environment variables for it.
+    /// Its environment variables.
     pub env: Vec<(String, String)>,
     /// Parameters of its node.
     pub parameters: Json,
@@ -62,7 +62,7 @@ pub struct StageSpec {
     pub(super) input_place: Option<SourceSpan>,
     pub(super) output_place: Option<SourceSpan>,
     pub(super) machine_place: Option<SourceSpan>,
-    /// Where the parameters stand.
+    /// Position of each parameter in the file.
     pub(super) parameter_places: BTreeMap<String, SourceSpan>,
 }
 
@@ -70,9 +70,9 @@ pub struct StageSpec {
 pub enum Program {
     /// A node of the table.
     Node(Node),
-    /// A program of one's own, with its arguments.
+    /// A program with its arguments.
     Command(Vec<String>),
-    /// Neither, as the file stands; it has been reported.
+    /// Neither; the error has been reported.
     Unknown,
 }
 
@@ -81,27 +81,27 @@ pub enum Program {
 pub struct Input {
     /// The topic that it reads.
     pub topic: String,
-    /// Which messages it sees.
+    /// Which messages it gets.
     pub delivery: Delivery,
-    /// How many wait at most.
+    /// Length of its queue.
     pub queue: usize,
-    /// What the topic carries, where the file says so: no node tells it of what a program of one's own writes.
+    /// Kind of the topic, where the file gives it: no node determines the output of a program.
     pub kind: Option<String>,
     /// How images and long lists for it are compressed on their way from another machine.
     pub compression: Option<Compression>,
     pub(super) place: SourceSpan,
 }
 
-/// What happens to a stage that died.
+/// When a dead stage is restarted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Restart {
-    /// Nothing.
+    /// Never.
     Never,
-    /// It is started anew if it failed.
+    /// After a failure.
     #[default]
     OnFailure,
-    /// It is started anew however it ended, until the run ends.
+    /// However it ended, until the run ends.
     Always,
 }
 
@@ -111,13 +111,13 @@ impl Pipeline {
         self.stages.iter().find(|stage| stage.name == name)
     }
 
-    /// Where the launcher on that machine offers the metrics of the run; without it, nowhere.
+    /// Endpoint of the run's metrics on this machine; `None`: they are not served.
     pub fn metrics_on(&self, machine: Option<&str>) -> Option<&Metrics> {
         let own = machine.and_then(|machine| self.machines.get(machine)?.metrics.as_ref());
         own.or(self.metrics.as_ref())
     }
 
-    /// What both ends of a topic have to agree on.
+    /// Description of a topic that its readers and writers agree on.
     pub fn topic(&self, name: &str) -> Topic {
         let writers = self.stages.iter().filter(|stage| stage.output.as_deref() == Some(name));
         let readers = self.stages.iter().flat_map(|stage| {
@@ -132,8 +132,8 @@ impl Pipeline {
         }
     }
 
-    /// The topic as the stages of `machine` see it: written by the same stages, here or elsewhere, and read by those that
-    /// are here, and by the bridge where one of its writers is here and one of its readers is not.
+    /// The topic as the stages of `machine` see it. Its writers are the same, on whichever machine. Its readers are those on this
+    /// machine, and the bridge where a writer is here and a reader is not.
     pub fn topic_on(&self, name: &str, machine: Option<&str>) -> Topic {
         let mut topic = self.topic(name);
         let Some(machine) = machine else { return topic };
@@ -154,14 +154,14 @@ impl Pipeline {
         self.stage(stage).is_some_and(|stage| stage.machine.as_deref() == Some(machine))
     }
 
-    /// The item type of this name: a row of the table, or one that the file describes.
+    /// The item type of this name: a built-in one, or one that the file describes.
     pub fn item(&self, name: &str) -> Option<&ItemType> {
         BUILT_IN.iter().chain(&self.items).find(|item| item.name() == name)
     }
 
-    /// What a topic carries, by name: by the nodes that write it; where only programs of one's own do, or nodes that write
-    /// any type, as one of them or an input says, or because a node that reads it takes nothing else. A node that writes any
-    /// type, of which nothing tells, writes depth.
+    /// Kind of a topic, by the nodes that write it. If only programs do, or nodes that write any type, it is the kind that the
+    /// file gives for an output or input, or else the only kind that one of the reading nodes takes. Without any of these, a node
+    /// that writes any type writes depth.
     pub fn kind_of(&self, topic: &str) -> Option<&str> {
         let writers = self.stages.iter().filter(|stage| stage.output.as_deref() == Some(topic));
         let mut inputs = self.stages.iter().flat_map(StageSpec::all_inputs).filter(|input| input.topic == topic);
@@ -206,7 +206,7 @@ impl StageSpec {
         self.input.iter().chain(self.inputs.iter().map(|(_, input)| input))
     }
 
-    /// What its inputs from a topic have to carry, where its node takes one kind of message there.
+    /// Kind that the node requires of an input from this topic, where it accepts only one.
     fn needed_kind(&self, topic: &str) -> Option<&'static str> {
         let Program::Node(node) = &self.program else { return None };
         if self.input.as_ref().is_some_and(|input| input.topic == topic) {
@@ -217,8 +217,7 @@ impl StageSpec {
         node.side_inputs().iter().find(|side| side.name == name).map(|side| side.kind)
     }
 
-    /// What it makes, by name; `None` if it is a program of one's own or a node that writes any type, and the file does not
-    /// say it.
+    /// Kind of its output; `None` for a program, or a node that writes any type, where the file does not give it.
     pub fn output_kind(&self) -> Option<&str> {
         match &self.program {
             Program::Node(node) if !node.writes_any() => Some(node.output()),
@@ -226,12 +225,12 @@ impl StageSpec {
         }
     }
 
-    /// Whether it is a node that writes what its readers take.
+    /// Whether it is a node that can write any type.
     fn writes_any(&self) -> bool {
         matches!(&self.program, Program::Node(node) if node.writes_any())
     }
 
-    /// Whether nothing drives it.
+    /// Whether it has no driving input.
     pub fn is_source(&self) -> bool {
         self.input.is_none()
     }

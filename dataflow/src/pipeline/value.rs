@@ -1,4 +1,4 @@
-//! A TOML document as a tree in which every key and value knows its place, and into which `--set` can write.
+//! A TOML document as a tree in which every key and value has its position, and which `--set` can change.
 
 use super::diagnostic::{Diagnostic, SourceSpan, SourceText};
 use std::collections::BTreeSet;
@@ -7,19 +7,19 @@ use std::sync::Arc;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-/// What sets a parameter on the command line.
+/// The command line option that sets a parameter.
 const OVERRIDE: &str = "--set";
-/// Keys of a stage that stay when another node takes the place of its own.
+/// Keys of a stage that stay when it gets another node.
 const KEYS_OF_ANY_STAGE: [&str; 6] = ["input", "inputs", "output", "machine", "restart", "env"];
 
-/// A value and its place.
+/// A value and its position.
 #[derive(Clone, Debug)]
 pub(crate) struct Value {
     pub(crate) content: Content,
     pub(crate) place: SourceSpan,
 }
 
-/// What a value holds.
+/// Content of a value.
 #[derive(Clone, Debug)]
 pub(crate) enum Content {
     String(String),
@@ -48,7 +48,7 @@ impl Table {
         self.0.iter().find(|entry| entry.key == key)
     }
 
-    /// Takes an entry out.
+    /// Removes an entry and returns it.
     pub(crate) fn take(&mut self, key: &str) -> Option<Entry> {
         let index = self.0.iter().position(|entry| entry.key == key)?;
         Some(self.0.remove(index))
@@ -79,7 +79,7 @@ impl Table {
         }
     }
 
-    /// Takes the parameters of a stage's node away, where another is to take its place: they mean nothing to that.
+    /// Removes the parameters of a stage's node if the stage gets another node, which does not know them.
     fn forget_other_node(&mut self, stage: &str, node: &str) {
         let stages = self.0.iter_mut().filter(|entry| entry.key == "stage").flat_map(|entry| entry.value.table_mut());
         let stage = stages.flat_map(|stages| &mut stages.0).find(|entry| entry.key == stage);
@@ -90,7 +90,7 @@ impl Table {
         }
     }
 
-    /// The same table without places.
+    /// The same table without positions.
     pub(crate) fn to_json(&self) -> serde_json::Value {
         let entries = self.0.iter().map(|entry| (entry.key.clone(), entry.value.to_json()));
         serde_json::Value::Object(entries.collect())
@@ -102,7 +102,7 @@ impl Value {
         if let Content::Table(table) = &mut self.content { Some(table) } else { None }
     }
 
-    /// A value that stands in no file.
+    /// A value without a position in a file.
     pub(crate) fn without_place(value: &serde_json::Value) -> Self {
         use serde_json::Value as Json;
         let nowhere = || SourceSpan { source: Arc::default(), span: 0..0 };
@@ -119,7 +119,7 @@ impl Value {
             }
             Json::String(text) => Content::String(text.clone()),
             Json::Array(values) => Content::Array(values.iter().map(Self::without_place).collect()),
-            // TOML has no word for nothing: what is not there has its default.
+            // TOML has no null: an absent value has its default.
             Json::Object(entries) => {
                 Content::Table(Table(entries.iter().filter(|(_, value)| !value.is_null()).map(entry).collect()))
             }
@@ -127,7 +127,7 @@ impl Value {
         Self { content, place: nowhere() }
     }
 
-    /// The word for what it holds.
+    /// Name of its type in errors.
     pub(crate) fn type_name(&self) -> &'static str {
         match self.content {
             Content::String(_) => "a string",
@@ -145,7 +145,7 @@ impl Value {
         if let Content::String(text) = &self.content { Some(text) } else { None }
     }
 
-    /// How a number, a date or the like is written where it is meant as text.
+    /// Hint with the value in quotes, for a number, a date or the like that was meant as text.
     pub(crate) fn quoted(&self) -> Option<String> {
         if matches!(self.content, Content::String(_) | Content::Array(_) | Content::Table(_)) {
             return None;
@@ -158,7 +158,7 @@ impl Value {
         })
     }
 
-    /// The same value without places.
+    /// The same value without positions.
     pub(crate) fn to_json(&self) -> serde_json::Value {
         match &self.content {
             Content::String(text) | Content::Datetime(text) => text.as_str().into(),
@@ -171,13 +171,13 @@ impl Value {
     }
 }
 
-/// Reads a whole document; what is not TOML is reported and left out.
+/// Parses a whole document; syntax errors are reported, and their entries left out.
 pub(crate) fn parse(source: &Arc<SourceText>, faults: &mut Vec<Diagnostic>) -> Table {
     let (document, errors) = DeTable::parse_recoverable(&source.text);
     let mut spoilt = BTreeSet::new();
     for error in &errors {
         let span = error.span().unwrap_or(0..0);
-        // A fault spoils the rest of its table: what else is found there is mostly its consequence.
+        // An error spoils the rest of its table: further errors there are mostly consequences.
         if spoilt.insert(table_start(&source.text, span.start)) {
             faults.push(syntax_fault(source, span, error.message()));
         }
@@ -185,7 +185,7 @@ pub(crate) fn parse(source: &Arc<SourceText>, faults: &mut Vec<Diagnostic>) -> T
     convert_table(source, document.get_ref())
 }
 
-/// Where the table begins that the text at `offset` belongs to: at the last line that opens one.
+/// Offset of the table that the text at `offset` belongs to: the last line that opens one.
 fn table_start(text: &str, offset: usize) -> usize {
     let lines = text.split_inclusive('\n').scan(0, |end, line| {
         let start = *end;
@@ -234,8 +234,8 @@ fn convert(source: &Arc<SourceText>, value: &Spanned<DeValue<'_>>) -> Value {
     Value { content, place: SourceSpan { source: Arc::clone(source), span: value.span() } }
 }
 
-/// Writes `STAGE.KEY=VALUE` into a document. A value that is not TOML is taken as a string, so that quotes need not be
-/// quoted for a shell.
+/// Applies `STAGE.KEY=VALUE` to a document. A value that is not TOML is taken as a string, so that quotes need not be escaped in
+/// a shell.
 pub(crate) fn apply_override(document: &mut Table, text: &str, faults: &mut Vec<Diagnostic>) {
     let source = Arc::new(SourceText { name: OVERRIDE.to_owned(), text: text.to_owned() });
     let whole = SourceSpan { source: Arc::clone(&source), span: 0..text.len() };

@@ -1,31 +1,31 @@
-//! How much shared memory a topic's messages take, and how much there is.
+//! Shared memory that a topic's messages take, and shared memory that is available.
 //!
-//! A writer uses again what came back to it last. So a topic takes as many messages as its readers can keep waiting and hold
-//! at once.
+//! A writer reuses the memory that was returned to it last. A topic therefore takes as many messages as its readers can queue and
+//! hold at once.
 
 use crate::item_type::ItemType;
 use crate::ports::{PortError, Topic};
 use conicflow_messages::Header;
 use std::path::Path;
 
-/// Where the system keeps shared memory.
+/// The system's folder of shared memory.
 pub(crate) const SHARED_MEMORY: &str = "/dev/shm";
 
-/// Messages that a reader holds beside its queue: the one that is worked on, and the next.
+/// Number of messages that a reader holds in addition to its queue: the one being processed, and the next.
 pub(crate) const HELD: usize = 2;
-/// Messages that a writer has in hand.
+/// Number of messages that a writer has on loan.
 pub(crate) const LOANED: usize = 1;
 const PAGE: usize = 4096;
-/// What iceoryx2 keeps for each pair of a writer and a reader, and for each end of a topic.
+/// Bytes that iceoryx2 needs for each pair of a writer and a reader, and for each port of a topic.
 pub(crate) const ROOM_PER_PORT: usize = 24 * 1024;
 
-/// Bytes of shared memory that are free, and that there are.
+/// Free bytes and total bytes of shared memory.
 pub(crate) fn room() -> std::io::Result<(u64, u64)> {
     let about = rustix::fs::statvfs(Path::new(SHARED_MEMORY))?;
     Ok((about.f_bavail * about.f_frsize, about.f_blocks * about.f_frsize))
 }
 
-/// A number of bytes as people read it.
+/// Formats a number of bytes with a decimal unit.
 pub(crate) fn in_words(bytes: u64) -> String {
     match bytes {
         0..1_000_000 => format!("{:.1} kB", bytes as f64 * 1e-3),
@@ -34,24 +34,25 @@ pub(crate) fn in_words(bytes: u64) -> String {
     }
 }
 
-/// The bytes of a message of `length` items, or of as many as are usual.
+/// Size in bytes of a message of `length` items, or of the usual number.
 pub(crate) fn message_bytes(item: &ItemType, length: Option<usize>) -> usize {
     let items = length.unwrap_or(item.usual_length()) * item.size();
-    // A message seldom begins where a page does.
+    // A message seldom begins on a page boundary.
     (size_of::<Header>() + items).next_multiple_of(PAGE) + PAGE
 }
 
-/// Bytes that a writer's messages take, of which its readers hold and keep waiting so many at most.
+/// Maximum number of bytes of a writer's messages; `with_readers` is the maximum number that its readers queue and hold.
 pub(crate) fn taken(topic: &Topic, bytes: usize, with_readers: usize) -> u64 {
     ((with_readers + LOANED) * bytes) as u64 + taken_by_ports(topic)
 }
 
-/// Bytes that iceoryx2 keeps for a writer and its readers, beside their messages.
+/// Bytes that iceoryx2 needs for a writer and its readers, in addition to their messages.
 fn taken_by_ports(topic: &Topic) -> u64 {
     ((topic.readers.len() + 1) * ROOM_PER_PORT) as u64
 }
 
-/// Makes sure that a topic's messages find `room` if they are up to `length` items long; the bytes that they take at most.
+/// Checks that a topic's messages of up to `length` items fit in the free memory (`room`). Returns the maximum number of bytes
+/// that they take.
 pub(crate) fn look_for_room(
     room: std::io::Result<(u64, u64)>,
     item: &ItemType,
@@ -62,12 +63,12 @@ pub(crate) fn look_for_room(
     let needed = taken(topic, message_bytes(item, Some(length)), with_readers);
     match room {
         Ok((free, _)) if free < needed => Err(no_room(topic, length, needed)),
-        // Where there is no such folder iceoryx2 says it better.
+        // If shared memory is missing, iceoryx2 reports that better.
         _ => Ok(needed - taken_by_ports(topic)),
     }
 }
 
-/// Why messages of `length` items have no room.
+/// Error for messages of `length` items that do not fit.
 pub(crate) fn no_room(topic: &Topic, length: usize, needed: u64) -> PortError {
     let free = room().map_or(0, |(free, _)| free);
     PortError::NoRoom { topic: topic.name.clone(), length, free, needed }
@@ -104,7 +105,7 @@ mod tests {
     #[test]
     fn a_topic_takes_what_its_readers_keep_and_hold_and_one_more_message_and_the_ports() {
         assert_eq!(taken(&topic(&[4, 2]), 10_000, 10), 11 * 10_000 + 3 * 24 * 1024);
-        // Of each reader the queue and two that it holds.
+        // For each reader, its queue and two that it holds.
         let taken = look_for_room(room(), &ItemType::of::<Object>(), &topic(&[4, 2]), 1).unwrap();
         assert_eq!(taken, (4 + 2 + 2 + 2 + 1) * 8192);
         let (needed, all) = (taken + 3 * 24 * 1024, u64::MAX);
@@ -114,7 +115,7 @@ mod tests {
 
     #[test]
     fn what_has_no_room_is_told_with_what_there_is() {
-        // A page that is taken, so that what is left is no round number of pages.
+        // Takes a page, so that the free memory is not a round number.
         let mut page = tempfile::tempfile_in(SHARED_MEMORY).unwrap();
         page.write_all(&[1]).unwrap();
         let (free, all) = room().unwrap();

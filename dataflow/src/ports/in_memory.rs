@@ -1,4 +1,4 @@
-//! The twin of shared memory inside one process: the same queues and the same waiting, for tests.
+//! Equivalent of shared memory inside one process, with the same queues and the same waiting, for tests.
 
 use crate::item_type::ItemType;
 use crate::mutex::lock;
@@ -20,13 +20,13 @@ pub struct InMemory {
 }
 
 impl InMemory {
-    /// Topics whose waiting ends when `stop` is raised.
+    /// Topics whose waits end when `stop` is set.
     pub fn new(stop: Stop) -> Self {
         Self { topics: Arc::default(), stop, keeps: false }
     }
 
-    /// The same topics, whose writers keep for a reader that wants every message what it has not finished, and hand it to the next
-    /// one of that stage.
+    /// The same topics, with writers that keep unfinished messages for lossless readers, and resend them to the next reader of
+    /// the stage.
     #[must_use]
     pub fn keeping(self) -> Self {
         Self { keeps: true, ..self }
@@ -41,19 +41,19 @@ impl InMemory {
 struct Channel {
     queues: Mutex<Vec<Queue>>,
     kept: Mutex<Kept>,
-    /// How many readers there have been.
+    /// Number of readers opened so far.
     opened: AtomicU64,
     changed: Condvar,
 }
 
-/// What readers that want every message have done, by the names of reader and writer: it outlives them.
+/// Progress of lossless readers, by the names of reader and writer; it outlives them.
 #[derive(Default)]
 struct Kept {
-    /// The number of the first message that is not finished.
+    /// Number of the first unfinished message.
     next: BTreeMap<(String, Text<32>), u64>,
-    /// Which message was begun last, and how often.
+    /// The message begun last, and how often it was begun.
     begun: BTreeMap<(String, Text<32>), (u64, u64)>,
-    /// How often anything was finished.
+    /// Number of acknowledgements.
     answers: u64,
 }
 
@@ -71,7 +71,7 @@ struct Queue {
     messages: VecDeque<Arc<MemoryMessage>>,
 }
 
-/// Bytes that lie as any item has to.
+/// Bytes with the maximum alignment of items.
 #[derive(Debug, Default)]
 struct Aligned {
     words: Vec<u64>,
@@ -109,13 +109,13 @@ impl Received for Arc<MemoryMessage> {
     }
 }
 
-/// Reads a topic of [`InMemory`].
+/// Reader of a topic of [`InMemory`].
 pub struct MemoryReader {
     item: ItemType,
     channel: Arc<Channel>,
     port: u64,
     stage: String,
-    /// The writers of the topic, where they keep what this stage has not finished.
+    /// The writers of the topic, if they keep unfinished messages of this stage.
     keepers: Option<Vec<Text<32>>>,
 }
 
@@ -175,14 +175,14 @@ impl Reader for MemoryReader {
     }
 }
 
-/// Writes a topic of [`InMemory`].
+/// Writer of a topic of [`InMemory`].
 pub struct MemoryWriter {
     item: ItemType,
     channel: Arc<Channel>,
     loan: Aligned,
     stop: Stop,
     topic: Topic,
-    /// As many of the messages that were sent last as are kept, and the readers that have them.
+    /// The last sent messages, up to `kept` of them; `joined` are the readers that have received them.
     sent: VecDeque<Arc<MemoryMessage>>,
     kept: usize,
     joined: BTreeSet<u64>,
@@ -266,7 +266,7 @@ impl Transport for InMemory {
         let channel = self.channel(&topic.name);
         let reader = topic.readers.iter().find(|reader| reader.stage == stage);
         let (delivery, queue) = reader.map_or((Delivery::Latest, 2), |reader| (reader.delivery, reader.queue));
-        // What is kept is handed to who comes anew all at once.
+        // A restarted reader receives all kept messages at once.
         let capacity = if self.keeps && delivery == Delivery::Lossless { queue + topic.kept() + 1 } else { queue };
         let port = channel.opened.fetch_add(1, Ordering::Relaxed);
         let queue = Queue { port, stage: stage.to_owned(), delivery, capacity, messages: VecDeque::new() };

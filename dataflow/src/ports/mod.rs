@@ -1,8 +1,8 @@
-//! What a stage's runner needs of a transport: to take messages out of a topic and to write messages into one.
+//! Interface between a stage's runner and a transport: reads messages from a topic and writes messages into one.
 //!
-//! Ports carry bytes of an [`ItemType`], so that a process can carry what it does not know; whoever knows the type reads and
-//! writes items by [`Received::items`] and [`Writer::loan`]. [`shared_memory`] is the transport between processes,
-//! [`in_memory`] its twin for tests.
+//! Ports carry bytes of an [`ItemType`], so that a process can carry types that it does not know. A process that knows the type
+//! reads and writes items by [`Received::items`] and [`Writer::loan`]. [`shared_memory`] is the transport between processes,
+//! [`in_memory`] its equivalent for tests.
 
 pub(crate) mod capacity;
 pub mod in_memory;
@@ -19,10 +19,11 @@ use std::fmt::Debug;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// Messages that a stage keeps of one input at most until their frame has come, or its own turn.
+/// Maximum number of messages of one input that a stage buffers until the message of their frame has come, or, as a successor,
+/// until its turn.
 pub(crate) const MAX_KEPT: usize = 12;
 
-/// What to do about a topic that carries another type of message.
+/// Hint for a topic that carries another type of message.
 const OTHER_BUILD: &str =
     "its stages were built from different versions of conicflow, or one of them is no stage for this topic";
 
@@ -30,18 +31,18 @@ const OTHER_BUILD: &str =
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Delivery {
-    /// The newest; what it overwrites is counted.
+    /// The newest; overwritten ones are counted.
     Latest,
     /// Every one; the writer waits.
     Lossless,
 }
 
-/// One end of a topic, as the pipeline file describes it: what both sides have to agree on.
+/// A topic as the pipeline file describes it. Readers and writers have to agree on it.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Topic {
     /// Its name in the pipeline file.
     pub name: String,
-    /// What it carries, where that is known.
+    /// Its item type, where known.
     pub item: Option<ItemType>,
     /// Names of the stages that write it.
     pub writers: Vec<String>,
@@ -56,50 +57,50 @@ pub struct TopicReader {
     pub stage: String,
     /// Which messages it sees.
     pub delivery: Delivery,
-    /// How many messages wait for it at most.
+    /// Maximum number of messages in its queue.
     pub queue: usize,
 }
 
 impl TopicReader {
-    /// How many messages a writer sends at most that this reader, which wants all of them, has not finished: those that wait,
-    /// and one in its hands.
+    /// Maximum number of messages that a writer sends to this lossless reader before one is finished: those in the queue and the
+    /// one being processed.
     pub(crate) const fn credit(&self) -> usize {
         self.queue + 1
     }
 }
 
 impl Topic {
-    /// How the messages reach the stage `reader`.
+    /// Delivery to the stage `reader`.
     pub fn delivery_to(&self, reader: &str) -> Delivery {
         self.readers.iter().find(|entry| entry.stage == reader).map_or(Delivery::Latest, |entry| entry.delivery)
     }
 
-    /// The place of a reader among those of the topic: the number by which it answers.
+    /// Index of a reader among those of the topic; its acknowledgements carry this number.
     pub(crate) fn place_of(&self, reader: &str) -> Option<usize> {
         self.readers.iter().position(|entry| entry.stage == reader)
     }
 
-    /// How many messages a writer keeps for lossless readers that may be started anew: those that wait in the longest queue, the
-    /// one in that reader's hands, and the end of the stream.
+    /// Number of messages that a writer keeps for lossless readers that may restart: the longest queue, the message being
+    /// processed, and the end of the stream.
     pub(crate) fn kept(&self) -> usize {
         let lossless = self.readers.iter().filter(|reader| reader.delivery == Delivery::Lossless);
         lossless.map(|reader| reader.credit() + 1).max().unwrap_or(0)
     }
 
-    /// The length of the longest queue of a reader.
+    /// Length of the longest queue of a reader.
     pub(crate) fn longest_queue(&self) -> usize {
         self.readers.iter().map(|reader| reader.queue).max().unwrap_or(2)
     }
 
-    /// The word for what it carries.
+    /// Name of its item type.
     pub fn kind(&self) -> Option<&str> {
         self.item.as_ref().map(ItemType::name)
     }
 
-    /// What it carries.
+    /// Its item type.
     ///
     /// # Errors
-    /// Nothing in the pipeline file tells.
+    /// The pipeline file does not say.
     pub fn expect_item(&self) -> Result<&ItemType, Hinted> {
         self.item.as_ref().ok_or_else(|| {
             let name = &self.name;
@@ -110,10 +111,10 @@ impl Topic {
         })
     }
 
-    /// Makes sure that a stage which has `item` may read or write it.
+    /// Makes sure that a stage may read or write items of the type `item`.
     ///
     /// # Errors
-    /// The pipeline file says otherwise.
+    /// The topic carries another type, according to the pipeline file.
     fn expect(&self, item: &ItemType) -> Result<(), PortError> {
         match &self.item {
             Some(said) if !said.fits(item) => {
@@ -129,13 +130,13 @@ impl Topic {
         }
     }
 
-    /// Whether any reader wants every message.
+    /// Whether any reader is lossless.
     pub fn is_lossless(&self) -> bool {
         self.readers.iter().any(|reader| reader.delivery == Delivery::Lossless)
     }
 }
 
-/// How a stage is joined to the others.
+/// Topics that connect a stage to the others.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Wiring {
     /// The topic that drives it, if it is no source.
@@ -144,7 +145,7 @@ pub struct Wiring {
     pub side_inputs: Vec<(String, Topic)>,
     /// The topic that it writes.
     pub output: Option<Topic>,
-    /// A source ends after so many messages.
+    /// Number of messages after which a source ends.
     pub frames: Option<u64>,
 }
 
@@ -155,7 +156,7 @@ impl Wiring {
     }
 }
 
-/// Why a port could not be opened or used.
+/// Reason why a port could not be opened or used.
 #[derive(Debug, thiserror::Error)]
 pub enum PortError {
     /// The path of the shared memory's folder is too long for the sockets in it.
@@ -180,19 +181,19 @@ pub enum PortError {
         /// The folder.
         path: PathBuf,
     },
-    /// Another type of message goes through this topic.
+    /// The topic carries another type of message.
     #[error("topic `{topic}` carries another type of message than {own}{said}\n  hint: {hint}")]
     Incompatible {
         /// The topic.
         topic: String,
         /// The type that this stage has.
         own: String,
-        /// What says otherwise.
+        /// Text that names the other type, where it is known.
         said: String,
-        /// What to do about it.
+        /// Hint.
         hint: String,
     },
-    /// All places for those who look on are taken.
+    /// The topic has no place for another onlooker.
     #[error(
         "topic `{topic}` has {limit} onlookers already, there is no place for another\n  \
          hint: end one of them (`pgrep -af \"conicflow topic\"` lists them)"
@@ -200,10 +201,10 @@ pub enum PortError {
     TooManyOnlookers {
         /// The topic.
         topic: String,
-        /// How many it has places for.
+        /// Number of onlookers that it has places for.
         limit: usize,
     },
-    /// The messages that may be under way at once would not find room in shared memory.
+    /// Shared memory has no room for the messages that may be in use at once.
     #[error(
         "topic `{topic}` has a message of {length} items: shared memory has {} free, the topic needs up to {}\n  hint: \
          `conicflow doctor` says how to enlarge it", in_words(*.free), in_words(*.needed)
@@ -211,11 +212,11 @@ pub enum PortError {
     NoRoom {
         /// The topic.
         topic: String,
-        /// Items of the message.
+        /// Number of items of the message.
         length: usize,
         /// Bytes that are free.
         free: u64,
-        /// Bytes that the topic takes at most, with messages as long as this.
+        /// Maximum number of bytes that the topic takes with messages of this length.
         needed: u64,
     },
     /// Shared memory failed.
@@ -226,7 +227,7 @@ pub enum PortError {
     SharedMemory {
         /// What was being done.
         doing: String,
-        /// What iceoryx2 said.
+        /// Error of iceoryx2.
         reason: String,
         /// The folder of the shared memory's files.
         root: PathBuf,
@@ -236,7 +237,7 @@ pub enum PortError {
     Stopped,
 }
 
-/// Those characters of a path that names in shared memory may not have.
+/// Quotes the characters of a path that names in shared memory may not have.
 fn in_quotes(path: &Path) -> String {
     let path = path.to_string_lossy();
     let mut unusable: Vec<_> =
@@ -245,8 +246,7 @@ fn in_quotes(path: &Path) -> String {
     unusable.iter().map(|c| format!("`{}`", c.escape_debug())).collect::<Vec<_>>().join(", ")
 }
 
-/// What is to be asked, too, where a process may not take as much memory as it likes, or make a file as long as it likes: shared
-/// memory counts as both.
+/// Further hint where the memory or the file size of a process is limited (`ulimit`): shared memory counts as both.
 fn of_limits(limit: impl Fn(Resource) -> Option<u64>) -> String {
     let memory =
         limit(Resource::As).map(|bytes| format!(" `ulimit -v` lets a process have {} in all", in_words(bytes)));
@@ -255,20 +255,20 @@ fn of_limits(limit: impl Fn(Resource) -> Option<u64>) -> String {
 }
 
 impl PortError {
-    /// What keeps `doing` from being done in the shared memory of this folder.
+    /// Error of an operation (`doing`) in the shared memory of this folder.
     fn of_shared_memory(root: &Path, doing: impl Into<String>, reason: impl Debug) -> Self {
         Self::SharedMemory { doing: doing.into(), reason: format!("{reason:?}"), root: root.to_owned() }
     }
 }
 
-/// A message taken out of a topic, kept in the writer's memory as long as this lives.
+/// A received message. Its memory stays the writer's, and is held until this is dropped.
 pub trait Received {
     /// Its header.
     fn header(&self) -> &Header;
-    /// Its items, as bytes that lie as the items have to.
+    /// Its items, as bytes aligned like the items.
     fn bytes(&self) -> &[u8];
 
-    /// Its items; none where these are no bytes of whole items.
+    /// Its items; empty if the bytes are not a whole number of items.
     fn items<T: Item>(&self) -> &[T]
     where
         Self: Sized,
@@ -277,7 +277,7 @@ pub trait Received {
     }
 }
 
-/// What looking for a message brought.
+/// Result of a poll for a message.
 pub enum Polled<M> {
     /// The next message.
     Message(M),
@@ -287,15 +287,15 @@ pub enum Polled<M> {
     Over,
 }
 
-/// Takes messages out of a topic.
+/// Reader of a topic.
 pub trait Reader {
     /// A message in the writer's memory.
     type Message: Received + Send + Sync + 'static;
 
-    /// What the items of its messages are.
+    /// Type of the items.
     fn item(&self) -> &ItemType;
 
-    /// The oldest message that waits, if any.
+    /// Takes the oldest message from the queue, if any.
     ///
     /// # Errors
     /// The transport failed.
@@ -307,38 +307,38 @@ pub trait Reader {
     /// The transport failed.
     fn wait(&mut self, timeout: Duration) -> Result<(), PortError>;
 
-    /// Says that this stage has finished the messages of `writer` before the number `next`: it needs them no more, even if it is
-    /// started anew. A transport that keeps nothing for that does not ask.
+    /// Acknowledges the messages of `writer` with numbers below `next`: this stage will not need them again, even after a
+    /// restart. The default, for a transport that keeps no messages, does nothing.
     fn acknowledge(&mut self, writer: Text<32>, next: u64) {
         let _ = (writer, next);
     }
 
-    /// By writer, the number of the first message that this stage has not finished, whichever of its processes was at work;
-    /// `None` where nothing is kept.
+    /// By writer, the number of the first message that this stage has not finished, in any of its processes; `None` where no
+    /// messages are kept.
     fn acknowledged(&self) -> Option<Vec<(Text<32>, u64)>> {
         None
     }
 
-    /// Notes that a message is begun; how often this stage has begun it, this time included.
+    /// Records the start of work on a message. Returns how often this stage has started on it, this time included.
     fn begin(&mut self, writer: Text<32>, number: u64) -> u64 {
         let _ = (writer, number);
         1
     }
 }
 
-/// Writes messages into a topic.
+/// Writer of a topic.
 pub trait Writer {
-    /// What the items of its messages are.
+    /// Type of the items.
     fn item(&self) -> &ItemType;
 
-    /// Memory for a message of `length` items, with the content of an earlier one. It is sent by [`Writer::send`];
-    /// a loan that follows another replaces it.
+    /// Loans memory for a message of `length` items; it holds the content of an earlier message. [`Writer::send`] sends it; a
+    /// second loan replaces the first.
     ///
     /// # Errors
     /// The transport failed.
     fn loan_bytes(&mut self, length: usize) -> Result<&mut [u8], PortError>;
 
-    /// The same for who knows the type of the items; no memory where they are of another.
+    /// Loans memory as [`Writer::loan_bytes`] does, typed; empty if the topic's items are of another type.
     ///
     /// # Errors
     /// The transport failed.
@@ -346,63 +346,63 @@ pub trait Writer {
         Ok(try_cast_slice_mut(self.loan_bytes(length)?).unwrap_or_default())
     }
 
-    /// Sends the loaned memory, or an empty message without one, and tells how many items that were. Waits for room where
-    /// a reader wants every message.
+    /// Sends the loaned memory, or an empty message without a loan, and returns its number of items. Blocks while a lossless
+    /// reader has no room.
     ///
     /// # Errors
     /// The transport failed, or the run ended while it waited.
     fn send(&mut self, header: &Header) -> Result<usize, PortError>;
 
-    /// The readers of the pipeline that are there now.
+    /// The readers of the pipeline that are connected now.
     fn connected(&self) -> Vec<ConnectedReader>;
 
-    /// How many messages were sent by this end since the first that the stage `reader` has not finished, that one included; 0
-    /// where nothing is kept for it.
+    /// Number of messages sent by this end since the first one that the stage `reader` has not finished, inclusive; 0 where no
+    /// messages are kept for it.
     fn unfinished(&self, reader: &str) -> usize {
         let _ = reader;
         0
     }
 
-    /// Hands what is kept to readers that were started anew.
+    /// Resends kept messages to readers that have restarted.
     fn catch_up(&mut self) {}
 
-    /// Sleeps until a reader has finished a message, at most for `timeout`, and hands what is kept to readers that were started
-    /// anew; whether any has.
+    /// Sleeps until a reader has finished a message, at most for `timeout`, and resends kept messages to readers that have
+    /// restarted. Returns whether a reader has finished one.
     fn wait(&mut self, timeout: Duration) -> bool {
         std::thread::sleep(timeout);
         false
     }
 }
 
-/// A reader that is there: a stage that was started anew is another one.
+/// A connected reader; a restarted stage is a new one.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct ConnectedReader {
-    /// The number of its end of the topic, which no other has.
+    /// Unique number of its port.
     pub port: u128,
     /// Name of the stage.
     pub stage: String,
 }
 
-/// Opens the ends of topics.
+/// Opens readers and writers of topics.
 pub trait Transport {
-    /// How it reads.
+    /// Type of its readers.
     type Reader: Reader + Send + 'static;
-    /// How it writes.
+    /// Type of its writers.
     type Writer: Writer + Send + 'static;
 
-    /// Opens a topic of these items for `stage` to read.
+    /// Opens a topic with items of this type for the stage `stage` to read.
     ///
     /// # Errors
     /// The transport failed, or the topic carries something else.
     fn reader_of(&self, item: &ItemType, topic: &Topic, stage: &str) -> Result<Self::Reader, PortError>;
 
-    /// Opens a topic of these items to write.
+    /// Opens a topic with items of this type to write.
     ///
     /// # Errors
     /// The transport failed, or the topic carries something else.
     fn writer_of(&self, item: &ItemType, topic: &Topic) -> Result<Self::Writer, PortError>;
 
-    /// Opens a topic of items that this program knows for `stage` to read.
+    /// Opens a topic with items of the Rust type `T` for the stage `stage` to read.
     ///
     /// # Errors
     /// The transport failed, or the topic carries something else.
@@ -410,7 +410,7 @@ pub trait Transport {
         self.reader_of(const { &ItemType::of::<T>() }, topic, stage)
     }
 
-    /// Opens a topic of items that this program knows to write.
+    /// Opens a topic with items of the Rust type `T` to write.
     ///
     /// # Errors
     /// The transport failed, or the topic carries something else.
@@ -479,7 +479,7 @@ mod tests {
         writer.loan::<Object>(3).unwrap();
         assert_eq!(writer.send(&Header::default()).unwrap(), 3, "items");
         assert!(other.receive().unwrap().is_some());
-        // The other one has nothing to look at.
+        // The other topic's message does not wake this reader.
         reader.wait(Duration::from_secs(3600)).unwrap();
         assert_eq!(reader.receive().unwrap().unwrap().items::<Object>().len(), 3);
     }

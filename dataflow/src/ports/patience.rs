@@ -1,21 +1,21 @@
-//! How long a writer waits for readers that finish nothing.
+//! Timeout of a writer that waits for readers which finish no message.
 
 use std::time::{Duration, Instant};
 
-/// Readers that want every message, and finish none for so long while they are there, are not waited for any longer: neither
-/// before longer messages need another place, nor before the end is told to the others.
+/// Maximum wait for connected lossless readers without progress, before the publisher is replaced for longer messages, and before
+/// the end of the stream is sent to the other readers.
 const LONGEST: Duration = Duration::from_secs(5);
 
-/// What a writer saw of its readers last, and since when that has not changed.
+/// The last observed state of the readers, and the time since which it has not changed.
 pub(crate) struct Patience<S>(Option<(S, Instant)>);
 
 impl<S: PartialEq> Patience<S> {
-    /// Before the first look.
+    /// State before the first check.
     pub(crate) const fn new() -> Self {
         Self(None)
     }
 
-    /// Whether what is seen `now` has been so for too long.
+    /// Whether the state `seen` has not changed for too long by `now`.
     pub(crate) fn is_over(&mut self, seen: S, now: Instant) -> bool {
         match &self.0 {
             Some((last, since)) if *last == seen => now.duration_since(*since) > LONGEST,

@@ -1,19 +1,19 @@
-//! What a machine has too little of for what is to run on it: what there is now, against what is needed.
+//! Resources that a machine lacks for a run: what it has, and what is needed.
 
 use super::Requirements;
 use crate::ports::capacity::{SHARED_MEMORY, in_words, room};
 use rustix::process::{Resource, getrlimit};
 
-/// What a machine has too little of.
+/// A resource of which a machine has too little.
 #[derive(Debug, thiserror::Error)]
 pub enum InsufficientResource {
-    /// Shared memory is not there.
+    /// Shared memory is not available.
     #[error(
         "there is no shared memory in {SHARED_MEMORY}: {0}\n  hint: mount it: \
          `mkdir -p {SHARED_MEMORY} && mount -t tmpfs -o mode=1777 tmpfs {SHARED_MEMORY}` as root"
     )]
     NoSharedMemory(std::io::Error),
-    /// Messages that are under way would not find room.
+    /// The messages of a run that can exist at once do not fit.
     #[error(
         "shared memory has {} of {} free in {SHARED_MEMORY}, this pipeline needs up to {}, most of it for the topic \
          `{topic}`\n  hint: `conicflow doctor` finds what dead runs have left there; to enlarge it, `mount -o \
@@ -24,43 +24,43 @@ pub enum InsufficientResource {
     Room {
         /// Bytes that are free.
         free: u64,
-        /// Bytes that there are in all.
+        /// Size of the shared memory in bytes.
         size: u64,
-        /// Bytes that the pipeline takes at most.
+        /// Maximum number of bytes that the pipeline takes.
         needed: u64,
-        /// What takes most of them.
+        /// The topic that takes most of them.
         topic: String,
-        /// Megabytes that it should have in all.
+        /// Recommended size in megabytes.
         wanted: u64,
     },
-    /// What comes to a running pipeline would not find room.
+    /// An addition to a running pipeline does not fit.
     #[error(
         "to {purpose} takes up to {} of shared memory, {} are free in {SHARED_MEMORY}\n  hint: `conicflow doctor` finds \
          what dead runs have left there", in_words(*.needed), in_words(*.free)
     )]
     MoreRoom {
-        /// What the room is for.
+        /// Purpose of the additional memory.
         purpose: String,
         /// Bytes that are free.
         free: u64,
-        /// Bytes that it takes at most.
+        /// Maximum number of bytes that it takes.
         needed: u64,
     },
-    /// A stage or the launcher would not get the files that it has to open.
+    /// A stage or the launcher could not open all its files.
     #[error(
         "a process may have {limit} files open, one of this pipeline needs up to {needed}\n  \
          hint: `ulimit -n {needed}` in the shell before it is started; in a systemd unit `LimitNOFILE={needed}`"
     )]
     OpenFiles {
-        /// How many a process may have.
+        /// Maximum number of open files of a process.
         limit: u64,
-        /// How many a stage or the launcher has at most.
+        /// Maximum number of files that a stage or the launcher opens.
         needed: u64,
     },
 }
 
 impl Requirements {
-    /// What this machine has too little of, now.
+    /// Resources of which this machine has too little now.
     pub fn insufficient(&self) -> Vec<InsufficientResource> {
         let files = self.short_of_files();
         let room = match room() {
@@ -70,7 +70,7 @@ impl Requirements {
         room.into_iter().chain(files).collect()
     }
 
-    /// Whether its processes may have fewer files open than they need.
+    /// Error if a process of the run needs more open files than the limit allows.
     pub(crate) fn short_of_files(&self) -> Option<InsufficientResource> {
         let limit = getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX);
         (limit < self.open_files).then_some(InsufficientResource::OpenFiles { limit, needed: self.open_files })
@@ -84,7 +84,7 @@ impl Requirements {
     }
 }
 
-/// Makes sure that so many bytes of shared memory are free.
+/// Checks that this many bytes of shared memory are free.
 pub(super) fn enough(needed: u64, purpose: impl FnOnce() -> String) -> Result<(), InsufficientResource> {
     let (free, _) = room().map_err(InsufficientResource::NoSharedMemory)?;
     if free < needed { Err(InsufficientResource::MoreRoom { purpose: purpose(), free, needed }) } else { Ok(()) }

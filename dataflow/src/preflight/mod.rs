@@ -1,8 +1,9 @@
-//! What a run needs of its machine: room in shared memory for the messages that can be under way at once, and open files.
+//! Checks whether the machine has the resources that a run needs: shared memory for all messages that can exist at once, and open
+//! files.
 //!
-//! A writer uses again what came back to it last. So a topic takes as many messages as its readers can keep waiting and hold
-//! at once, each of the length that its source names. What is not certain beforehand is looked at when it comes: a list
-//! that is longer than usual, somebody who looks on, a stage that is replaced.
+//! A writer reuses the memory that was returned to it last. A topic therefore needs memory for as many messages as its readers
+//! can queue and hold at once, each of the length that its source gives. Needs that are not certain beforehand are checked when
+//! they arise: a list that is longer than usual, an onlooker, a stage that is replaced.
 
 mod insufficient;
 
@@ -17,44 +18,44 @@ use crate::ports::{Delivery, MAX_KEPT, Topic, TopicReader};
 use crate::side_inputs::{Pairing, SideInput};
 use insufficient::enough;
 
-/// Messages that a reader holds of a side input that waits for its frame: those that are kept, and the one in use.
+/// Messages that a reader holds of a side input that is matched by frame: the kept ones, and the one in use.
 const HELD_FOR_FRAME: usize = MAX_KEPT + 1;
-/// Open files of a stage that is joined to nothing: 16, and some of its own.
+/// Open files of a stage without topics: 16, with a margin for files of its own.
 const FILES_PER_STAGE: u64 = 24; // [measured]
-/// Open files for each topic that a stage is joined to, 6 and those for four onlookers, and for each stage at its other end.
+/// Open files for each topic of a stage: 6, and those for four onlookers; and for each stage at its other end.
 const FILES_PER_TOPIC: u64 = 18; // [measured]
 const FILES_PER_PEER: u64 = 3; // [measured]
-/// Open files of the network part, beside those for each machine that it talks with, ...
+/// Open files of the network part, in addition to those for each machine that it communicates with, ...
 const FILES_OF_NETWORK: u64 = 64;
 /// ... and those in which it keeps messages of an edge until they are acknowledged.
 const FILES_PER_LOSSLESS_EDGE: u64 = 64; // [derived]
-/// Open files of a launcher without topics: 13, and those that it looks into. For each topic it has three services open, each in
-/// two files (121 in all with 18 topics), and it holds a program of one's own by one.
+/// Open files of a launcher without topics: 13, with a margin for files that it reads. For each topic it has three services open,
+/// each in two files (121 in all with 18 topics). For each stage that is a program it has one more.
 const FILES_OF_LAUNCHER: u64 = 24; // [measured]
 const FILES_PER_KEPT_TOPIC: u64 = 6; // [measured]
 
-/// What a plan needs of the machine that it runs on.
+/// Resources that a plan needs of its machine.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Requirements {
-    /// What its topics need of shared memory.
+    /// Shared memory that its topics need.
     pub topics: Vec<TopicRequirements>,
-    /// Files that one process has open at once.
+    /// Maximum number of files that one process has open at once.
     pub open_files: u64,
 }
 
-/// What a topic needs of shared memory.
+/// Shared memory that a topic needs.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct TopicRequirements {
     /// Name of the topic.
     pub name: String,
-    /// Bytes that it takes at most.
+    /// Maximum number of bytes that it takes.
     pub bytes: u64,
-    /// Bytes of its longest message.
+    /// Size of its longest message in bytes.
     pub longest_message: u64,
 }
 
 impl Requirements {
-    /// What a plan needs whose nodes stand in the table `nodes`.
+    /// Requirements of a plan; `nodes` has its nodes.
     pub fn of(plan: &Plan, nodes: &[Node]) -> Self {
         let mut topics: Vec<TopicRequirements> = Vec::new();
         for stage in &plan.stages {
@@ -76,19 +77,19 @@ impl Requirements {
         Self { topics, open_files: plan.stages.iter().map(open_files).fold(of_launcher, u64::max) }
     }
 
-    /// Makes sure that there is room, now, for somebody who looks into a topic.
+    /// Checks that there is room, now, for an onlooker of a topic.
     ///
     /// # Errors
-    /// How much is missing.
+    /// Says how much is missing.
     pub fn look_for_onlooker(&self, topic: &Topic) -> Result<(), InsufficientResource> {
         let needed = self.with_another_reader(topic, topic.longest_queue(), 1);
         enough(needed, || format!("look into topic `{}`", topic.name))
     }
 
-    /// Makes sure that there is room, now, for another process of a stage beside the one at work.
+    /// Checks that there is room, now, for a second process of a stage beside the one at work.
     ///
     /// # Errors
-    /// How much is missing.
+    /// Says how much is missing.
     pub fn look_for_successor(&self, stage: &PlannedStage) -> Result<(), InsufficientResource> {
         let queue =
             |topic: &Topic| topic.readers.iter().find(|reader| reader.stage == stage.name).map_or(0, |r| r.queue);
@@ -100,28 +101,28 @@ impl Requirements {
         enough(read + written, || format!("replace stage `{}`", stage.name))
     }
 
-    /// Bytes that a topic takes more, with so many messages more that wait and are held.
+    /// Bytes that a topic needs for an additional port, with this many more messages in queues and held.
     fn with_another_reader(&self, topic: &Topic, queue: usize, held: usize) -> u64 {
         let own = self.topics.iter().find(|requirements| requirements.name == topic.name);
         own.map_or(0, |requirements| requirements.longest_message) * (queue + held) as u64 + ROOM_PER_PORT as u64
     }
 
-    /// Bytes of shared memory.
+    /// Total shared memory in bytes.
     pub fn shared_memory(&self) -> u64 {
         self.topics.iter().map(|requirements| requirements.bytes).sum()
     }
 }
 
-/// The topics that a stage writes here, and the bytes of its longest message there.
+/// The topics that a stage writes here, and the size of its longest message there in bytes.
 fn written<'a>(plan: &Plan, stage: &'a PlannedStage, nodes: &[Node]) -> Vec<(&'a Topic, usize)> {
     if let Runs::Bridge(bridge) = &stage.runs {
         let edges = bridge.incoming.iter();
         return edges.map(|edge| (&edge.topic, message_bytes(&edge.item, None))).collect();
     }
     let Some(topic) = &stage.wiring.output else { return Vec::new() };
-    // Where nobody tells what a program writes, an image is the longest that it usually is.
+    // A program's output of unknown type is assumed to be images of the usual size.
     let item = topic.item.as_ref().unwrap_or(const { &ItemType::of::<u16>() });
-    // A recording tells of its images; how long its lists are, nobody knows before.
+    // A recording gives the size of its images; the length of its lists is unknown.
     let node = node_of(stage, nodes).filter(|node| item.is_image() || !node.writes_any());
     let length = node.and_then(|node| (node.message_length)(stage.parameters.clone(), &plan.base));
     vec![(topic, message_bytes(item, length))]
@@ -132,7 +133,7 @@ fn node_of<'a>(stage: &PlannedStage, nodes: &'a [Node]) -> Option<&'a Node> {
     nodes.iter().find(|row| row.name == *node)
 }
 
-/// Messages of a topic that a reader holds at once, beside those in its queue.
+/// Maximum number of messages of a topic that a reader holds at once, in addition to those in its queue.
 fn held(plan: &Plan, topic: &Topic, reader: &TopicReader, nodes: &[Node]) -> usize {
     let Some(stage) = plan.stage(&reader.stage) else { return HELD };
     let side_inputs = node_of(stage, nodes).map_or(&[] as &[SideInput], Node::side_inputs);
@@ -209,7 +210,7 @@ mod tests {
         Requirements::of(&Plan::of(&pipeline, None, None, 1), NODES)
     }
 
-    /// Images of which there is room in the shared memory that a topic needs.
+    /// Number of images that fit in the shared memory that a topic needs.
     fn images(requirements: &Requirements, topic: &str) -> u64 {
         requirements.topics.iter().find(|requirements| requirements.name == topic).unwrap().bytes / (2 * PIXELS as u64)
     }

@@ -1,4 +1,4 @@
-//! Runs a single stage or source as it runs in a pipeline, with nothing around it: for tests.
+//! Runs a single stage or source as in a pipeline, but alone: for tests.
 
 use super::peers::Peers;
 use super::source_loop::run_source;
@@ -18,16 +18,17 @@ use std::collections::BTreeMap;
 use std::thread;
 use std::time::Duration;
 
-/// A message of one's own: its header and its items.
+/// A message that owns its header and items.
 pub type Owned<T> = (Header, Vec<T>);
 
 const UPSTREAM: &str = "upstream";
 const DOWNSTREAM: &str = "downstream";
 
-/// Takes one step of a stage that was made by [`Stage::new`], beside these further inputs, and returns what it would send.
+/// Runs one step of a stage that was created by [`Stage::new`], with these side inputs, and returns the message that it would
+/// send.
 ///
 /// # Errors
-/// What the stage failed at, or a message that no reader would take: that of the input, or its own.
+/// The stage failed, or the input or the output is a message that no reader would take.
 pub fn step<S: Stage>(
     stage: &mut S,
     (header, items): &Owned<S::Input>,
@@ -44,7 +45,7 @@ pub fn step<S: Stage>(
     Ok((made, items))
 }
 
-/// Memory that no other process reads.
+/// Memory of this process only.
 struct Loan<T>(Vec<T>);
 
 impl<T: Item> Memory for Loan<T> {
@@ -54,18 +55,18 @@ impl<T: Item> Memory for Loan<T> {
     }
 }
 
-/// Whether a reader takes such a message; of a sink there is none.
+/// Checks a message as a reader would; the output of a sink is not checked.
 fn check<T: Item>(header: &Header, items: &[T]) -> Result<(), StageError> {
     let item = const { ItemType::of::<T>() };
     Ok(if item.is::<Nothing>() { Ok(()) } else { item.check(header, cast_slice(items)) }?)
 }
 
-/// Runs the stage `S` over `messages`, none of which is lost unless `context.delivery` wants the newest alone, and returns what it
-/// sent.
+/// Runs the stage `S` over `messages`, and returns what it sent. No message is lost unless `context.delivery` is
+/// [`Delivery::Latest`].
 ///
 /// # Errors
-/// What the stage refused or failed at, or a message that no reader would take: one of `messages`, each of which has to be of a
-/// newer frame than the one before (`sequence`), or one of its own.
+/// The stage refused its parameters, or failed, or sent a message that no reader would take; or no reader would take one of
+/// `messages`, each of which needs a later `sequence` than the one before.
 pub fn pass<S: Stage>(
     config: S::Config,
     context: Context,
@@ -104,11 +105,11 @@ pub fn pass<S: Stage>(
     )
 }
 
-/// Runs the source `S` until it has made `frames` messages, or has no more, and returns them. What a source makes that makes
-/// lists of any type stands in `context.output`.
+/// Runs the source `S` until it has made `frames` messages or is exhausted, and returns them. For a source of items of any type,
+/// `context.output` is the actual type.
 ///
 /// # Errors
-/// What the source refused or failed at, or a message that no reader would take.
+/// The source refused its parameters, or failed, or made a message that no reader would take.
 pub fn collect<S: Source>(config: S::Config, context: Context, frames: u64) -> Result<Vec<Owned<S::Output>>, RunError> {
     let parameters = serde_json::to_value(config).map_err(|error| RunError::Refused(error.into()))?;
     let memory = InMemory::new(context.stop.clone());
@@ -135,7 +136,7 @@ fn from_upstream(header: Header) -> Header {
     header
 }
 
-/// Runs one loop on a thread of its own, feeds it, and gathers what it sends until it is over.
+/// Runs a loop on its own thread, feeds it, and collects its messages until it is over.
 fn run_alone<T: Item>(
     memory: &InMemory,
     wiring: Wiring,
@@ -163,7 +164,7 @@ fn run_alone<T: Item>(
     })
 }
 
-/// All messages up to the end of the stream, or until nobody is left to send more.
+/// All messages up to the end of the stream, or until the sender has ended.
 fn gather<T: Item>(reader: &mut MemoryReader, is_over: impl Fn() -> bool) -> Result<Vec<Owned<T>>, PortError> {
     let mut messages = Vec::new();
     loop {

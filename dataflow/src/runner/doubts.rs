@@ -1,16 +1,17 @@
-//! What a source most likely did not mean: its readers can but take what it sends as it stands, or leave it out, so it is told here,
-//! each once and with a hint.
+//! Warnings of likely mistakes in a source's messages. Readers can only take such messages as they are, or ignore them, so the
+//! source logs each mistake once, with a hint.
 
 use conicflow_messages::{Header, Item, NoiseModel};
 
-/// The size that a time since 1970 has in another unit than nanoseconds, in the years from 2001 to 2286, and how many nanoseconds
-/// the unit has. A source that counts from its first frame comes to such a number as well, so this alone says nothing.
+/// Smallest value of a Unix time in a unit other than nanoseconds, for the years 2001 to 2286, with the number of nanoseconds in
+/// the unit. A clock that starts with the first frame may reach such values, too, so they alone prove nothing.
 const UNITS: [(u64, u64, &str); 2] =
     [(1_000_000_000_000, 1_000_000, "milliseconds"), (1_000_000_000_000_000, 1000, "microseconds")]; // [derived]
-/// No camera takes 10,000 images a second: stamps that rise by less are in another unit. Chosen, with a wide margin on both sides.
+/// No camera takes 10,000 images a second: stamps that rise by less are in another unit. Chosen, with a wide margin on both
+/// sides.
 const LEAST_RISE_NS: u64 = 100_000;
 
-/// What was told of the messages of a source.
+/// Mistakes that were reported for a source, and the last stamp.
 #[derive(Debug, Default)]
 pub(super) struct Doubts {
     stamp_ns: u64,
@@ -18,7 +19,7 @@ pub(super) struct Doubts {
 }
 
 impl Doubts {
-    /// What is to be told of a message with items of this `kind`.
+    /// Returns the new warnings for a message with items of this `kind`.
     pub(super) fn about(&mut self, header: &Header, kind: &str) -> Vec<String> {
         let before = std::mem::replace(&mut self.stamp_ns, header.stamp_ns);
         let doubts =
@@ -40,7 +41,7 @@ fn of_stamp(before: u64, stamp_ns: u64) -> Option<String> {
 }
 
 fn of_pose(header: &Header) -> Option<String> {
-    // What was recorded may have lost its flag on the way.
+    // A recording may have lost the flag.
     let is_given = header.world_from_camera != [[0.0; 4]; 3] && !header.is_recorded();
     (is_given && header.pose().is_none()).then(|| {
         "tells where its camera is, but not by the flag `HAS_POSE`, so that nobody uses it\n  hint: `Header::set_pose` does both"
@@ -75,7 +76,7 @@ mod tests {
         Header { stamp_ns, camera, depth_scale: 0.001, noise: NoiseModel::KINECT_V1, ..Header::default() }
     }
 
-    /// What is told of messages with these stamps.
+    /// Warnings for messages with these stamps.
     fn about(stamps: &[u64]) -> Vec<String> {
         let mut doubts = Doubts::default();
         stamps.iter().flat_map(|stamp| doubts.about(&header(*stamp), "depth")).collect()

@@ -1,4 +1,4 @@
-//! Tests of what an input says to be finished, and of how the next process of its stage goes on there.
+//! Tests of an input's acknowledgements, and of how the next process of its stage continues after them.
 
 use super::handover::Watermark;
 use super::input_port::{InputPort, Step};
@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 const WRITER: &str = "writer";
 
-/// A topic that a stage reads, whose writers keep what it has not finished.
+/// A topic whose writers keep the messages that its reader has not finished.
 struct Kept {
     memory: InMemory,
     topic: Topic,
@@ -33,14 +33,14 @@ impl Kept {
         Self { memory, topic, writer }
     }
 
-    /// The input of a side, in a new process of the stage that reads it: what is kept has been handed to it.
+    /// A side input in a new process of the reading stage, which has received the kept messages.
     fn side_input(&mut self) -> InputPort<MemoryReader> {
         let reader = self.memory.reader::<Object>(&self.topic, "reader").unwrap();
         self.writer.catch_up();
         InputPort::new(reader, Delivery::Lossless, "objects", self.topic.writers.len())
     }
 
-    /// The same of what drives the stage.
+    /// A driving input in such a process.
     fn input(&mut self) -> InputPort<MemoryReader> {
         let mut input_port = self.side_input();
         input_port.drive("reader");
@@ -51,19 +51,19 @@ impl Kept {
         headers.into_iter().for_each(|header| _ = self.writer.send(&header).unwrap());
     }
 
-    /// How many messages its writer has to keep.
+    /// Number of messages that its writer has to keep.
     fn unfinished(&self) -> usize {
         self.writer.unfinished("reader")
     }
 
-    /// By writer, the number of the first message that is not finished.
+    /// By writer: number of the first unfinished message.
     fn finished(&self) -> BTreeMap<String, u64> {
         let reader = self.memory.reader::<Object>(&self.topic, "reader").unwrap();
         reader.acknowledged().unwrap().into_iter().map(|(writer, next)| (writer.to_string(), next)).collect()
     }
 }
 
-/// The message `number` of a writer that makes the frames itself.
+/// Header of the message `number` of a writer that is also the source.
 fn by(writer: &str, number: u64) -> Header {
     let camera = Camera { width: 4, height: 3, fx: 5.0, fy: 5.0, cx: 1.5, cy: 1.0 };
     let mut header = Header { epoch: 1, sequence: number, number, camera, depth_scale: 0.001, ..Header::default() };
@@ -394,7 +394,7 @@ fn a_successor_works_on_what_its_predecessor_did_not_and_on_nothing_else() {
     assert_eq!(take_all(&mut input_port), [4, 5]);
     assert_eq!(counted(&input_port.counts()), [2, 0, 0, 0]);
     assert_eq!(input_port.worked_on().numbers[&Text::new("left")], 5);
-    // One of another machine that was started anew.
+    // A restarted stage of another machine.
     kept.send([Header { epoch: 2, ..by("left", 0) }]);
     assert_eq!(take(&mut input_port), Some(0));
     kept.send([end_of_stream(&by("left", 0), Text::new("left"), 1)]);

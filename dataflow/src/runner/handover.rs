@@ -1,10 +1,10 @@
-//! How a stage that is replaced hands over to its successor, so that no message is lost and none is worked on twice.
+//! Handover of a stage to its successor, without losing a message or processing one twice.
 //!
-//! The successor opens its inputs while its predecessor works, waits until it has received a message of each writer, and says
-//! from which messages on it receives everything (`STAGE.first` in the run's folder). The predecessor goes on until it has worked
-//! on all before those, and leaves at that message, without an end of stream, saying how far it came (`STAGE.last`). The
-//! successor begins when its launcher says that the predecessor is gone. It speaks with the launcher through a socket on
-//! its standard input: a byte each way, and the end of one of the two ends the other's waiting.
+//! The successor opens its inputs while its predecessor works, and waits until it has received a message of each writer. It then
+//! writes the numbers from which on it receives every message (`STAGE.first` in the run's folder). The predecessor processes all
+//! messages before those, stops there without sending an end of stream, and writes how far it came (`STAGE.last`). The successor
+//! begins when its launcher reports that the predecessor is gone. They communicate through a socket on the successor's standard
+//! input: one byte in each direction; if either closes it, the other stops waiting.
 
 use conicflow_messages::Text;
 use serde::{Deserialize, Serialize};
@@ -18,15 +18,15 @@ use std::time::Duration;
 
 /// Environment variable: this process is to replace another of the same stage.
 pub(crate) const SUCCESSOR: &str = "CONICFLOW_SUCCESSOR";
-/// A successor waits so long for the first message of writers whose loss of one would be no fault.
+/// Maximum wait of a successor for the first message of a writer whose topic it does not read losslessly.
 const FIRST_MESSAGE_TIMEOUT: Duration = Duration::from_secs(1);
-/// How often one who waits looks whether it is still to wait.
+/// Period at which a waiting process checks whether it still has to wait.
 const WAIT_CHECK_PERIOD: Duration = Duration::from_millis(20);
 
-/// A place in the streams that a stage reads.
+/// Position in the streams that a stage reads.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) struct Watermark {
-    /// By writer: the number of a message.
+    /// By writer: number of a message.
     pub(crate) numbers: BTreeMap<Text<32>, u64>,
     /// By source: epoch and sequence number of the last frame.
     pub(crate) frames: BTreeMap<Text<32>, (u64, u64)>,
@@ -34,7 +34,7 @@ pub(crate) struct Watermark {
     pub(crate) ended: BTreeSet<String>,
 }
 
-/// The files by which the two processes of a stage tell each other their places.
+/// Files through which the two processes of a stage exchange their positions.
 #[derive(Clone, Debug)]
 pub(crate) struct Handover {
     first: PathBuf,
@@ -47,25 +47,25 @@ impl Handover {
         Self { first: path("first"), last: path("last") }
     }
 
-    /// Forgets what was said in an earlier swap.
+    /// Removes the files of an earlier swap.
     pub(crate) fn clear(&self) {
         for path in [&self.first, &self.last] {
-            // It is there only if the stage was swapped before.
+            // They exist only if the stage was swapped before.
             fs::remove_file(path).ok();
         }
     }
 
-    /// From which messages on the successor receives everything; all, if it did not say.
+    /// Position from which on the successor receives every message; by default the beginning.
     pub(crate) fn first(&self) -> Watermark {
         read(&self.first).unwrap_or_default()
     }
 
-    /// How far the predecessor came; `None` if it died before it could tell.
+    /// Position that the predecessor reached; `None` if it died before it could write it.
     pub(crate) fn last(&self) -> Option<Watermark> {
         read(&self.last)
     }
 
-    /// Says how far this stage came.
+    /// Writes the position that this stage reached.
     pub(crate) fn leave(&self, mark: &Watermark) -> io::Result<()> {
         write(&self.last, mark)
     }
@@ -88,7 +88,7 @@ pub(crate) struct Successor {
 }
 
 impl Successor {
-    /// The part that this process was started for, if it is that of a successor.
+    /// The successor's side, if this process was started as a successor.
     pub(crate) fn from_environment(handover: &Handover) -> io::Result<Option<Self>> {
         if std::env::var_os(SUCCESSOR).is_none() {
             return Ok(None);
@@ -98,8 +98,8 @@ impl Successor {
         Ok(Some(Self { handover: handover.clone(), launcher, patience: FIRST_MESSAGE_TIMEOUT }))
     }
 
-    /// Says that it is ready, and receives everything from `first` on. A launcher that wants it no more does not listen; who
-    /// then waits for its turn learns that.
+    /// Reports that this process is ready, and receives every message from `first` on. A broken pipe is no error: the launcher no
+    /// longer wants it, and [`Self::await_turn`] then returns `false`.
     pub(crate) fn is_ready(&mut self, first: &Watermark) -> io::Result<()> {
         write(&self.handover.first, first)?;
         match self.launcher.write_all(b"r") {
@@ -108,7 +108,7 @@ impl Successor {
         }
     }
 
-    /// Waits for its turn, unless it is `stopped` or the launcher wants it no more; whether the turn came.
+    /// Waits for its turn. Returns `false` if it is `stopped`, or the launcher no longer wants it.
     pub(crate) fn await_turn(&mut self, stopped: impl Fn() -> bool) -> bool {
         let mut turn = [0];
         while !stopped() {
@@ -121,7 +121,7 @@ impl Successor {
         false
     }
 
-    /// Whether the launcher wants it no more.
+    /// Whether the launcher no longer wants it.
     pub(crate) fn is_dismissed(&mut self) -> bool {
         !matches!(self.launcher.read(&mut [0]), Err(error) if is_timeout(&error))
     }
@@ -136,7 +136,7 @@ pub(super) mod tests {
     use super::*;
     use std::cell::Cell;
 
-    /// A successor that waits for ever for the first message of each writer, and the end of its launcher.
+    /// A successor that waits without limit for the first message of each writer, and the launcher's end of its socket.
     pub(in super::super) fn successor(folder: &Path, stage: &str) -> (Successor, UnixStream) {
         let (launcher, end) = UnixStream::pair().unwrap();
         end.set_read_timeout(Some(WAIT_CHECK_PERIOD)).unwrap();
@@ -183,7 +183,7 @@ pub(super) mod tests {
         let look = |last: u32| looks.replace(looks.get() + 1) == last;
         assert!(!successor.await_turn(|| look(3)), "it is stopped");
         looks.set(0);
-        // Its turn comes when it has looked around several times.
+        // Its turn comes after several checks.
         let turn = successor.await_turn(|| {
             if look(3) {
                 (&launcher).write_all(b"t").unwrap();
@@ -208,7 +208,7 @@ pub(super) mod tests {
     fn a_successor_whose_launcher_cannot_be_heard_has_no_turn() {
         let folder = tempfile::tempdir().unwrap();
         let (mut successor, _launcher) = successor(folder.path(), "a");
-        // What is no socket's end to a launcher cannot be read from.
+        // The write end of a pipe cannot be read.
         let (unread, _other) = io::pipe().map(|(reader, writer)| (writer, reader)).unwrap();
         successor.launcher = UnixStream::from(std::os::fd::OwnedFd::from(unread));
         let looks = Cell::new(0);

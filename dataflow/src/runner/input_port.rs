@@ -1,4 +1,4 @@
-//! An input of a stage: decides which of the messages that came is worked on, and counts the others.
+//! Input of a stage: decides which of the received messages is processed, and counts the others.
 
 use super::handover::Watermark;
 use crate::item_type::ItemType;
@@ -9,22 +9,22 @@ use conicflow_messages::{Header, Text};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
-/// Messages that are taken at a time before something else is looked at.
+/// Maximum number of messages that are taken in a row.
 const MOST_AT_ONCE: usize = 64;
-/// A stage that has died of a message so often is not given it again.
+/// Number of deaths on a message after which the stage does not get it again.
 const MOST_DEATHS: u64 = 2;
 
-/// What a stage is to do next.
+/// Next action of a stage.
 pub(crate) enum Step<M> {
-    /// To work on this message.
+    /// Process this message.
     Message(M),
-    /// To note that the next message is finished: it has died of that too often.
+    /// Acknowledge the next message without processing it: the stage has died on it too often.
     LeftOut,
-    /// To wait: no message is there.
+    /// Wait: there is no message.
     Nothing,
 }
 
-/// Takes messages from a reader: checked, in order, the newest only where that is wanted.
+/// Takes messages from a reader: checked, in order, and with [`Delivery::Latest`] only the newest.
 #[cfg_attr(test, derive(Clone))]
 pub struct InputPort<R: Reader> {
     reader: R,
@@ -35,27 +35,27 @@ pub struct InputPort<R: Reader> {
     last_frame: BTreeMap<Text<32>, (u64, u64)>,
     last_number: BTreeMap<Text<32>, u64>,
     counts: InputCounts,
-    /// How far this process came.
+    /// Position of this process.
     worked_on: Watermark,
-    /// How far its predecessor came.
+    /// Position of its predecessor.
     predecessor: Watermark,
-    /// Writer and number of the last message that an earlier process counted, where this one has received it as well.
+    /// Writer and number of the last message that an earlier process counted, if this one has received it, too.
     counted: Option<(Text<32>, u64)>,
-    /// By writer, the number that follows the last message which came.
+    /// By writer: number after the last received message.
     came: BTreeMap<Text<32>, u64>,
-    /// The writers of messages that came since it was last said what is finished.
+    /// Writers of messages that were received since the last acknowledgement.
     unsaid: BTreeSet<Text<32>>,
-    /// By writer, what was said last.
+    /// By writer: last acknowledged position.
     said: BTreeMap<Text<32>, u64>,
-    /// Whether its writers began to count when this run did.
+    /// Whether the writers have counted their messages from the start of this run.
     has_all_from_first: bool,
-    /// The stage that it drives, which is not given again what it has died of too often.
+    /// The stage that it drives, which does not get messages again that it has died on too often.
     driven: Option<Text<32>>,
     nonsense: ThrottledWarning,
 }
 
 impl<R: Reader> InputPort<R> {
-    /// An input from `topic`, which `writers` stages write.
+    /// Input from `topic`, which has `writers` writers.
     pub fn new(reader: R, delivery: Delivery, topic: &str, writers: usize) -> Self {
         Self {
             reader,
@@ -78,7 +78,7 @@ impl<R: Reader> InputPort<R> {
         }
     }
 
-    /// All that decides what it does, so that the model of the protocol can tell its states apart.
+    /// Hashes all state that determines its behaviour, so that the model of the protocol can distinguish states.
     #[cfg(test)]
     pub(super) fn hash_state(&self, hasher: &mut impl std::hash::Hasher) {
         use std::hash::Hash;
@@ -90,12 +90,12 @@ impl<R: Reader> InputPort<R> {
         (&self.came, &self.unsaid, &self.said).hash(hasher);
     }
 
-    /// What the items of its messages are.
+    /// Type of its items.
     pub(crate) fn item(&self) -> &ItemType {
         self.reader.item()
     }
 
-    /// The next message, if one is there.
+    /// Takes the next message, if there is one.
     ///
     /// # Errors
     /// The transport failed.
@@ -105,7 +105,7 @@ impl<R: Reader> InputPort<R> {
         Ok(Some(message))
     }
 
-    /// The message that the stage which this drives is to work on next.
+    /// Takes the next message that the driven stage is to process.
     ///
     /// # Errors
     /// The transport failed.
@@ -123,7 +123,7 @@ impl<R: Reader> InputPort<R> {
         Ok(Step::LeftOut)
     }
 
-    /// The next message, and which it is.
+    /// The next message and its identity.
     fn next(&mut self) -> Result<Option<(R::Message, LastMessage)>, PortError> {
         while self.delivery == Delivery::Latest || self.pending.is_empty() {
             let Some(message) = self.reader.receive()? else { break };
@@ -140,18 +140,18 @@ impl<R: Reader> InputPort<R> {
         Ok(Some((message, LastMessage { writer, number, source, epoch, sequence })))
     }
 
-    /// Says that this is what drives `stage`.
+    /// Sets the stage that this input drives.
     pub(crate) fn drive(&mut self, stage: &str) {
         self.driven = Some(Text::new(stage));
     }
 
-    /// Says that its writers are of this run: what they have sent before the first message that comes is lost.
+    /// Declares that its writers belong to this run: messages that they sent before the first received one count as lost.
     pub(crate) fn expect_from_first(&mut self) {
         self.has_all_from_first = self.delivery == Delivery::Lossless;
     }
 
-    /// Says that all messages which came are finished, but for those that wait here or in `kept`: should this stage be started
-    /// anew, it needs them no more.
+    /// Acknowledges all received messages except those that are pending here or in `kept`: a restart of this stage does not need
+    /// them.
     pub(crate) fn acknowledge_but<'a>(&mut self, kept: impl Iterator<Item = &'a Header> + Clone) {
         for writer in std::mem::take(&mut self.unsaid) {
             let own = |headers: &mut dyn Iterator<Item = &Header>| {
@@ -160,7 +160,7 @@ impl<R: Reader> InputPort<R> {
             let waits = own(&mut kept.clone()).into_iter().chain(own(&mut self.buffered())).min();
             let came = self.came.get(&writer).copied().unwrap_or_default();
             let next = waits.map_or(came, |first| first.min(came));
-            // What was let go of is not asked for again; a stage of another machine may have begun anew.
+            // Released messages are not requested again. A restarted stage of another machine may number from 0 again.
             if self.said.get(&writer).is_none_or(|said| *said < next || *said > came) {
                 self.said.insert(writer, next);
                 self.reader.acknowledge(writer, next);
@@ -171,23 +171,23 @@ impl<R: Reader> InputPort<R> {
         }
     }
 
-    /// The same of all but those that wait here.
+    /// Acknowledges all received messages except those that are pending here.
     pub fn acknowledge(&mut self) {
         self.acknowledge_but(std::iter::empty());
     }
 
-    /// Whether its writers keep what this stage has not finished.
+    /// Whether its writers keep the messages that this stage has not finished.
     pub(crate) fn is_kept(&self) -> bool {
         self.reader.acknowledged().is_some()
     }
 
-    /// Goes on after what an earlier process of this stage has finished, which has kept no counts.
+    /// Continues after the messages that an earlier process of this stage, which kept no counts, has finished.
     pub fn go_on(&mut self) {
         let finished = self.reader.acknowledged().unwrap_or_default();
         self.go_on_after(finished, LastMessage::default());
     }
 
-    /// Counts a message, unless an earlier process of the same stage has.
+    /// Counts a message, unless an earlier process of this stage has counted it.
     fn count_taken(&mut self, message: LastMessage, is_left_out: bool) {
         let is_known = |(writer, last): &(Text<32>, u64)| message.writer == *writer && message.number <= *last;
         if self.counted.as_ref().is_some_and(is_known) {
@@ -202,13 +202,13 @@ impl<R: Reader> InputPort<R> {
         }
     }
 
-    /// How far this process came.
+    /// Position of this process.
     pub(crate) fn worked_on(&mut self) -> &Watermark {
         self.worked_on.ended.clone_from(&self.ended);
         &self.worked_on
     }
 
-    /// Whether all messages before `first` were worked on, and none of them can come any more.
+    /// Whether all messages before `first` were processed or can no longer come.
     pub(crate) fn has_passed(&self, first: &Watermark) -> bool {
         first.numbers.iter().all(|(writer, first)| {
             let seen = self.last_number.get(writer).map_or(0, |last| last.saturating_add(1)) >= *first;
@@ -218,7 +218,7 @@ impl<R: Reader> InputPort<R> {
         })
     }
 
-    /// Keeps what has come, for when this process's turn has come.
+    /// Buffers received messages until this process's turn comes.
     pub(crate) fn buffer_ahead(&mut self) -> Result<(), PortError> {
         while self.pending.len() < MAX_KEPT {
             let Some(message) = self.reader.receive()? else { break };
@@ -227,8 +227,8 @@ impl<R: Reader> InputPort<R> {
         Ok(())
     }
 
-    /// Takes all that has come, so that no writer waits for room while another one has not sent yet: where there is no room
-    /// for more, the first message of a writer of which a later one is buffered is left to the predecessor.
+    /// Buffers all received messages, so that no writer is blocked while another one has not sent yet. If the buffer is full, it
+    /// drops the first message of a writer of which a later one is buffered, and leaves it to the predecessor.
     pub(crate) fn buffer_newest(&mut self) -> Result<(), PortError> {
         for _ in 0..MOST_AT_ONCE {
             let Some(message) = self.reader.receive()? else { break };
@@ -241,7 +241,7 @@ impl<R: Reader> InputPort<R> {
         Ok(())
     }
 
-    /// The first message of whose writer a later one is buffered.
+    /// Index of the first message whose writer has a later one in the buffer.
     fn dispensable(&self) -> Option<usize> {
         let headers: Vec<_> = self.buffered().collect();
         (0..headers.len()).find(|&index| {
@@ -250,12 +250,12 @@ impl<R: Reader> InputPort<R> {
         })
     }
 
-    /// The headers of what is buffered.
+    /// Headers of the buffered messages.
     pub(crate) fn buffered(&self) -> impl Iterator<Item = &Header> {
         self.pending.iter().map(Received::header)
     }
 
-    /// Leaves buffered messages to the predecessor; never the end of a stream.
+    /// Drops buffered messages, which the predecessor processes; never the end of a stream.
     pub(crate) fn drop_buffered(&mut self, forget: impl Fn(&Header) -> bool) {
         self.pending.retain(|message| message.header().ends_stream() || !forget(message.header()));
     }
@@ -265,7 +265,7 @@ impl<R: Reader> InputPort<R> {
         self.pending.iter().any(|message| message.header().writer() == Text::new(writer))
     }
 
-    /// By writer, the number of the first message that is buffered; an end has the number that would follow.
+    /// By writer: number of the first buffered message. An end of stream has the number that the next message would have.
     pub(crate) fn first_buffered(&self) -> Watermark {
         let mut first = Watermark::default();
         for header in self.buffered() {
@@ -274,7 +274,7 @@ impl<R: Reader> InputPort<R> {
         first
     }
 
-    /// Goes on after the last message that the predecessor has worked on, with what was buffered meanwhile.
+    /// Continues after the last message that the predecessor processed, with the buffered messages.
     pub(crate) fn begin_after(&mut self, last: Watermark) {
         self.last_number.clone_from(&last.numbers);
         self.last_frame.clone_from(&last.frames);
@@ -284,7 +284,7 @@ impl<R: Reader> InputPort<R> {
         self.admit_buffered();
     }
 
-    /// Queues what was buffered.
+    /// Checks the buffered messages and queues them.
     pub(crate) fn admit_buffered(&mut self) {
         for message in std::mem::take(&mut self.pending) {
             if self.admit(&message) {
@@ -293,7 +293,7 @@ impl<R: Reader> InputPort<R> {
         }
     }
 
-    /// Whether the predecessor has worked on a message; once one is news, all that follow are.
+    /// Whether the predecessor has processed a message. After the first new message of a writer all are new.
     fn is_known(&mut self, header: &Header, writer: Text<32>) -> bool {
         let known = self.predecessor.numbers.get(&writer).is_some_and(|last| header.number <= *last);
         if !known {
@@ -310,28 +310,29 @@ impl<R: Reader> InputPort<R> {
         self.reader.wait(timeout)
     }
 
-    /// Whether every writer has said that it sends nothing more, and nothing waits.
+    /// Whether every writer has ended its stream, and no message is pending.
     pub(crate) fn ended(&self) -> bool {
         self.ended.len() >= self.writers && self.pending.is_empty()
     }
 
-    /// Whether this writer has said that it sends nothing more.
+    /// Whether this writer has ended its stream.
     pub fn has_ended(&self, writer: &str) -> bool {
         self.ended.contains(writer)
     }
 
-    /// Whether nothing that came before still waits.
+    /// Whether no received message is pending.
     pub fn is_idle(&self) -> bool {
         self.pending.is_empty()
     }
 
-    /// What was counted of this input.
+    /// Counts of this input.
     pub fn counts(&self) -> InputCounts {
         self.counts
     }
 
-    /// Continues the counts of an earlier process, and goes on after what that has finished, where it is handed the rest again.
-    /// Elsewhere what had come and was not worked on is lost, which shows in the numbers where all messages come from one writer.
+    /// Continues the counts of an earlier process, and continues after the messages that it finished, where the rest is sent
+    /// again. Elsewhere its received but unprocessed messages are lost; their numbers show that if all messages come from one
+    /// writer.
     pub fn resume(&mut self, counts: InputCounts) {
         if counts.topic != self.counts.topic {
             return;
@@ -352,18 +353,18 @@ impl<R: Reader> InputPort<R> {
         }
     }
 
-    /// Goes on after what an earlier process has finished, by writer the number of the first message that it has not. Of a side
-    /// input it may have taken more than that, up to `last`.
+    /// Continues after the messages that an earlier process finished; `finished` has for each writer the number of the first
+    /// unfinished message. A side input may have been read further than that, up to `last`.
     fn go_on_after(&mut self, finished: Vec<(Text<32>, u64)>, last: LastMessage) {
         for (writer, next) in finished {
-            // Who has written it to the record has finished it, even if that was the last that it did.
+            // A process that has recorded this message has finished it, even if it died right afterwards.
             let is_done = self.driven.is_some() && writer == last.writer;
             let next = if is_done { next.max(last.number.saturating_add(1)) } else { next };
             let Some(number) = next.checked_sub(1) else { continue };
             self.note_came(writer, next);
             self.last_number.entry(writer).or_insert(number);
             self.predecessor.numbers.entry(writer).or_insert(number);
-            // Should it leave its place before it has worked on anything, its successor need not do it again either.
+            // If this process is replaced before it has processed a message, its successor must not repeat these either.
             self.worked_on.numbers.entry(writer).or_insert(number);
             if writer == last.writer && last.number <= number {
                 self.last_frame.entry(last.source).or_insert((last.epoch, last.sequence));
@@ -373,7 +374,7 @@ impl<R: Reader> InputPort<R> {
         self.counted = (last.writer != Text::default()).then_some((last.writer, last.number));
     }
 
-    /// Whether a message is to be worked on: it makes sense, is news, and is not the end of a stream.
+    /// Whether a message is to be processed: it is well-formed and new, and not the end of a stream.
     fn admit(&mut self, message: &R::Message) -> bool {
         let header = message.header();
         let (source, writer) = (header.origin(), header.writer());
@@ -398,31 +399,31 @@ impl<R: Reader> InputPort<R> {
         self.count_lost(header, writer);
         let is_news = self.in_sequence(header, source);
         if is_news {
-            // A stage of another machine that was started anew counts from the beginning.
+            // A restarted stage of another machine numbers from 0 again.
             self.came.insert(writer, header.number.saturating_add(1));
         }
         is_news
     }
 
-    /// Notes that the messages of `writer` before the number `next` came.
+    /// Records that the messages of `writer` with numbers below `next` were received.
     fn note_came(&mut self, writer: Text<32>, next: u64) {
         let came = self.came.entry(writer).or_default();
         *came = next.max(*came);
         self.unsaid.insert(writer);
     }
 
-    /// Whether a message is the last one again: its writer was killed between sending it and noting that it had, so that
-    /// the next process of that stage sent it once more.
+    /// Whether a message repeats the last one: its writer was killed after it had sent the message and before it had recorded
+    /// that, so its next process sent it again.
     fn is_repeated(&self, header: &Header, source: Text<32>, writer: Text<32>) -> bool {
         let is_same_frame = |(_, sequence): &(u64, u64)| *sequence == header.sequence;
         self.last_number.get(&writer) == Some(&header.number) && self.last_frame.get(&source).is_some_and(is_same_frame)
     }
 
-    /// Notes that a writer has ended, and counts what it had sent last and never came.
+    /// Records the end of a writer's stream, and counts its last messages that were never received.
     fn note_end(&mut self, end: &Header, writer: Text<32>) {
         self.ended.insert(writer.to_string());
         let last = self.last_number.get(&writer).copied();
-        // Where several write, an earlier process of this stage may have had what this one knows nothing of.
+        // With several writers, an earlier process of this stage may have received messages that this one does not know of.
         let first = if self.writers == 1 && self.delivery == Delivery::Lossless { Some(0) } else { None };
         let Some(next) = last.map(|last| last.saturating_add(1)).or(first) else { return };
         let lost = end.number.saturating_sub(next);
@@ -432,18 +433,18 @@ impl<R: Reader> InputPort<R> {
         }
     }
 
-    /// Counts messages that are lost, and their frames with them.
+    /// Counts lost messages, and their frames as gaps.
     fn count_gap(&mut self, lost: u64) {
         self.counts.dropped = self.counts.dropped.saturating_add(lost);
         self.counts.gaps = self.counts.gaps.saturating_add(lost);
     }
 
-    /// How many messages a writer has sent, as far as is known here.
+    /// Number of messages that a writer has sent, as far as is known here.
     pub fn count_of(&self, writer: &str) -> u64 {
         self.last_number.get(&Text::new(writer)).map_or(0, |last| last.saturating_add(1))
     }
 
-    /// Counts what was lost on the way from the writer to here.
+    /// Counts the messages of a writer that were lost before this one.
     fn count_lost(&mut self, header: &Header, writer: Text<32>) {
         let last = self.last_number.insert(writer, header.number);
         let first = if self.has_all_from_first { Some(0) } else { None };
@@ -451,12 +452,12 @@ impl<R: Reader> InputPort<R> {
         let lost = header.number.saturating_sub(next);
         self.counts.dropped = self.counts.dropped.saturating_add(lost);
         if last.is_none() {
-            // The frames before the first one of a source are nobody's gap.
+            // `in_sequence` does not count the frames before the first one of a source.
             self.counts.gaps = self.counts.gaps.saturating_add(lost);
         }
     }
 
-    /// Whether a frame is newer than the last one of its source; counts those between them.
+    /// Whether a frame is newer than the last one of its source. Counts the missing frames in between.
     fn in_sequence(&mut self, header: &Header, source: Text<32>) -> bool {
         let last = self.last_frame.get(&source).copied();
         if let Some((epoch, sequence)) = last {
@@ -471,7 +472,7 @@ impl<R: Reader> InputPort<R> {
         true
     }
 
-    /// Puts a message at the end, in place of an older one of the same source where only the newest is wanted.
+    /// Queues a message; with [`Delivery::Latest`] it replaces an older one of the same source.
     fn enqueue(&mut self, message: R::Message) {
         if self.delivery == Delivery::Latest {
             let source = message.header().origin();

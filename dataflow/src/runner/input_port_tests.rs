@@ -1,4 +1,4 @@
-//! Tests of an input: what is taken, what is left out, and how both are counted.
+//! Tests of an input: which messages it takes or skips, and how it counts both.
 
 use super::input_port::InputPort;
 use crate::ports::in_memory::InMemory;
@@ -19,7 +19,7 @@ fn header(sequence: u64) -> Header {
     header
 }
 
-/// Sends the frames and returns those that were taken, with the counts.
+/// Sends the frames. Returns those that were taken, the counts, and whether the stream has ended.
 fn pass(delivery: Delivery, headers: &[Header]) -> (Vec<u64>, InputCounts, bool) {
     let memory = InMemory::default();
     let topic = topic(delivery);
@@ -84,7 +84,7 @@ fn what_a_killed_source_sent_just_before_is_not_taken_again_from_the_next_one() 
     assert_eq!((taken, counts.late, counts.gaps), (vec![0, 1, 2], 1, 0));
     let (taken, counts, _) = pass(Delivery::Lossless, &[header(0), header(1), header(2), anew(0), anew(1)]);
     assert_eq!((taken, counts.late), (vec![0, 1, 2, 0, 1], 0), "another run from its first frame on");
-    // Another frame under the same number, and another number of a frame that is called like the last one.
+    // Another frame under the same number, and another number for a frame with the same sequence number as the last.
     for other in [Header { number: 1, ..anew(5) }, Header { number: 2, ..anew(1) }] {
         let (taken, counts, _) = pass(Delivery::Lossless, &[header(0), header(1), other]);
         assert_eq!((taken, counts.late), (vec![0, 1, other.sequence], 0));
@@ -105,7 +105,7 @@ fn what_was_lost_with_an_earlier_process_is_counted() {
     assert_eq!((counts.received, counts.dropped, counts.gaps), (3, 3, 3));
 }
 
-/// A header that the stage `writer` wrote.
+/// A header of the writer `writer`.
 fn written_by(writer: &str, sequence: u64) -> Header {
     let mut header = Header { hops: Header::default().hops, hop_count: 0, ..header(sequence) };
     header.add_hop(Hop { stage: Text::new(writer), ..Hop::default() });

@@ -1,6 +1,6 @@
-//! Runs one stage: takes messages, lets it step, sends what it made, and keeps its record, until the stream ends.
+//! Runs one stage: reads messages, calls its step, sends the output, and updates its record, until the stream ends.
 //!
-//! The two loops are [`source_loop`] and [`stage_loop`]; here is what they run with, and how what goes wrong is told.
+//! The two loops are [`source_loop`] and [`stage_loop`]; this module has their common state and error handling.
 
 pub(crate) mod alone;
 mod doubts;
@@ -56,31 +56,31 @@ use std::error::Error;
 use std::fs::File;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-/// All that a stage runs with, but itself.
+/// Everything that a stage needs to run.
 pub struct StageRuntime<T> {
-    /// What leads to the other stages.
+    /// Access to the topics.
     pub transport: T,
     pub(crate) wiring: Wiring,
-    /// What it is told when it starts.
+    /// Information for the stage at its start.
     pub context: Context,
     /// The other stages of its run.
     pub peers: Peers,
     /// Its record.
     pub record: StatusFile,
-    /// How it leaves its place to another process; nowhere where it is alone.
+    /// Handover of its place to another process; `None` where it runs alone.
     pub(crate) handover: Option<Handover>,
-    /// Set where this process replaces another of the same stage.
+    /// Set in a process that replaces another one of the same stage.
     pub(crate) successor: Option<Successor>,
-    /// Whether it stands still, if it is a source.
+    /// Pause switch of the run, which a source obeys.
     pub(crate) pause: Pause,
-    /// Held while the stage lives, where it is a process of its own.
+    /// Lock of the run's folder, held while the stage lives; `None` where the stage is not a process of its own.
     pub(crate) lock: Option<File>,
 }
 
-/// Why a stage ended before its stream did.
+/// Reason why a stage ended before its stream did.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
-    /// It could not be made ready; to start it anew would not help.
+    /// It could not be started; a restart would not help.
     #[error("{}", with_causes(&**.0))]
     Refused(StageError),
     /// It failed at a frame.
@@ -88,18 +88,18 @@ pub enum RunError {
     Failed {
         /// The frame's sequence number.
         frame: u64,
-        /// What it said.
+        /// Error of the stage.
         error: StageError,
     },
-    /// It failed at a frame, and would at the next one; to start it anew would not help.
+    /// It failed on a frame, and would fail on the next one; a restart would not help.
     #[error("at frame {frame}: {}", with_causes(&**.error))]
     Lasting {
         /// The frame's sequence number.
         frame: u64,
-        /// What it said.
+        /// Error of the stage.
         error: StageError,
     },
-    /// It could not end its work after the last message; to start it anew would not help.
+    /// It could not end its work after the last message; a restart would not help.
     #[error("{}", with_causes(&**.0))]
     Unfinished(StageError),
     /// Its ports failed.
@@ -108,14 +108,14 @@ pub enum RunError {
 }
 
 impl RunError {
-    /// A program was to send what no reader would take.
+    /// A program tried to send a message that every reader would refuse.
     fn of_malformed(error: Malformed) -> Self {
         let hint = "readers would refuse the message: mend what is named, or leave it out";
         Self::Refused(Hinted::new(error.to_string(), hint).into())
     }
 }
 
-/// An error and what caused it, but for what the text tells already.
+/// Text of an error with its causes, except those that the text contains already.
 fn with_causes(error: &(dyn Error + 'static)) -> String {
     let mut text = error.to_string();
     let mut cause = error.source();
@@ -128,14 +128,14 @@ fn with_causes(error: &(dyn Error + 'static)) -> String {
 }
 
 impl RunError {
-    /// What is wrong with how a stage is joined, and what to do.
+    /// Error of a stage whose inputs or outputs are wrong, with a hint.
     pub(crate) fn refused(what: impl Into<String>, hint: impl Into<String>) -> Self {
         Self::Refused(Hinted::new(what, hint).into())
     }
 }
 
 impl<T: Transport> StageRuntime<T> {
-    /// The end of the topic that the stage writes, if it is wired to one and makes anything.
+    /// Opens the output topic, if the stage has one and makes items.
     pub(crate) fn output_port(&mut self, item: &ItemType) -> Result<OutputPort<T::Writer>, PortError> {
         let wired = self.wiring.output.take().filter(|_| !item.is::<Nothing>());
         let port = wired.map(|topic| Ok::<_, PortError>((self.writer_of(item, &topic)?, topic))).transpose()?;
@@ -143,7 +143,7 @@ impl<T: Transport> StageRuntime<T> {
         Ok(OutputPort::new(port, &self.context.stage, sent, self.peers.clone(), stop))
     }
 
-    /// The end of a topic for items of this type, or of the topic's own, where the stage writes lists of any type.
+    /// Opens a topic to write, with items of this type, or of the topic's own where the stage writes any type.
     fn writer_of(&self, item: &ItemType, topic: &Topic) -> Result<T::Writer, PortError> {
         let own = topic.item.as_ref().filter(|_| item.is::<AnyByte>());
         self.transport.writer_of(own.unwrap_or(item), topic)
@@ -160,8 +160,8 @@ impl<T: Transport> StageRuntime<T> {
         Ok(ports)
     }
 
-    /// All side inputs of the pipeline file, whatever they carry: those in `same_frame` of the frame of each step, of the others
-    /// the latest.
+    /// Opens all side inputs of the pipeline file, of whatever type. Those in `same_frame` deliver the message of each step's
+    /// frame, the others the latest one.
     pub(crate) fn side_inputs_of(&self, same_frame: &[String]) -> Result<Vec<SidePort<T::Reader>>, RunError> {
         let wired = &self.wiring.side_inputs;
         if let Some(missing) = same_frame.iter().find(|name| wired.iter().all(|(wired, _)| wired != *name)) {
@@ -177,12 +177,12 @@ impl<T: Transport> StageRuntime<T> {
         wired.iter().map(open).collect()
     }
 
-    /// What the output carries, by the pipeline file; `None` where there is no output.
+    /// Item type of the output by the pipeline file; `None` where there is no output.
     pub(crate) fn output_of_any(&self) -> Result<Option<ItemType>, RunError> {
         self.wiring.output.as_ref().map(stage_place::item_of).transpose()
     }
 
-    /// Writes this process into the stage's record, which goes on from where a process of the same run before it came.
+    /// Enters this process into the stage's record, which continues that of an earlier process in the same run.
     pub(crate) fn enter(&mut self) {
         self.record.reload();
         let status = &mut self.record.status;
@@ -203,15 +203,15 @@ impl<T: Transport> StageRuntime<T> {
     }
 }
 
-/// Gives back, when a process is at work, what only its start needed; by default it leaves the process as it is.
+/// Returns memory that only the start needed to the system, once a process is at work. The default does nothing.
 #[derive(Default)]
 pub struct MemoryTrim(Option<u64>);
 
 impl MemoryTrim {
-    /// The steps after which it does: soon, and when what is seldom done has been done as well.
+    /// Steps after which memory is returned: early, and once more when rare work has been done, too.
     const STEPS: [u64; 2] = [10, 100];
 
-    /// For a stage that is a process of its own; others leave their process as it is.
+    /// For a stage that is a process of its own; for others it does nothing.
     pub fn of<T>(runtime: &StageRuntime<T>) -> Self {
         Self(runtime.lock.as_ref().map(|_| 0))
     }
@@ -225,8 +225,8 @@ impl MemoryTrim {
     }
 }
 
-/// Calls a step; an error or a panic is told with the number of the frame that it met. One that would come again is noted in
-/// the record, so that nobody starts the stage anew.
+/// Calls a step; an error or a panic is returned with the number of its frame. An error that would recur is noted in the record,
+/// so that the stage is not restarted.
 pub(crate) fn guarded<R>(
     record: &mut StatusFile,
     frame: u64,
@@ -249,7 +249,7 @@ fn panic_text(panic: &(dyn Any + Send)) -> &str {
     text.or_else(|| panic.downcast_ref::<String>().map(String::as_str)).unwrap_or("without a text")
 }
 
-/// Whether sending ended because the run did; other errors are passed on.
+/// Whether sending stopped because the run ended; other errors are returned.
 pub(crate) fn is_stopped(sent: Result<(), PortError>) -> Result<bool, PortError> {
     match sent {
         Ok(()) => Ok(false),

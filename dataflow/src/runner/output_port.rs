@@ -1,4 +1,4 @@
-//! The output of a running stage: hands it a place to write, stamps the header and sends.
+//! Output of a running stage: provides memory for messages, stamps their headers, and sends them.
 
 use super::doubts::Doubts;
 use super::peers::Peers;
@@ -15,15 +15,15 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::{self, Display, Formatter};
 use std::time::{Duration, Instant};
 
-/// How long the first message waits for readers that want only the newest.
+/// Maximum wait of the first message for readers with [`Delivery::Latest`].
 pub(super) const PATIENCE_WITH_LIVE_READERS: Duration = Duration::from_secs(5);
-/// How often a writer looks whether readers have come or gone.
+/// Period at which a writer checks whether readers have come or gone.
 const READER_CHECK_PERIOD: Duration = Duration::from_millis(10);
-/// How often the end is announced again to those whose full queue may not have taken it, and whoever waits for a reader looks
-/// whether that was killed or started anew.
+/// Period at which the end is sent again to readers whose full queue may not have taken it, and at which a waiting writer checks
+/// whether a reader was killed or restarted.
 const ANNOUNCEMENT_PERIOD: Duration = Duration::from_millis(100);
 
-/// Writes the messages of one stage.
+/// Writer of the messages of one stage.
 pub struct OutputPort<W: Writer> {
     port: Option<(W, Topic)>,
     stage: Text<32>,
@@ -34,7 +34,7 @@ pub struct OutputPort<W: Writer> {
     interval_ns: Option<u64>,
     last: Header,
     doubts: Doubts,
-    /// By stage of another machine, how many messages it has sent as far as is known here.
+    /// By stage of another machine: number of messages that it has sent, as far as is known here.
     relayed: BTreeMap<Text<32>, u64>,
     peers: Peers,
     stop: Stop,
@@ -50,7 +50,7 @@ impl<W: Writer> Memory for Option<(W, Topic)> {
 }
 
 impl<W: Writer> OutputPort<W> {
-    /// The output of `stage` into a topic, if it is wired to one; `number` messages were sent before.
+    /// Output of `stage` into a topic, if it has one; `number` messages were sent before.
     pub fn new(port: Option<(W, Topic)>, stage: &str, number: u64, peers: Peers, stop: Stop) -> Self {
         Self {
             port,
@@ -68,17 +68,17 @@ impl<W: Writer> OutputPort<W> {
         }
     }
 
-    /// Goes on where another process of the same stage left, which had sent `number` messages.
+    /// Continues after an earlier process of the same stage, which had sent `number` messages.
     pub(crate) fn resume(&mut self, number: u64) {
         self.number = number;
     }
 
-    /// Where a message with this header is written.
+    /// Output for a message with this header.
     pub(crate) fn untyped_output(&mut self, header: Header) -> UntypedOutput<'_> {
         UntypedOutput { header, memory: &mut self.port, counts: &mut self.counts }
     }
 
-    /// Sends what was written: the bytes of a list after they were copied into shared memory; `None`: an image, where it is.
+    /// Sends a message. The bytes of a `list` are copied into shared memory first; `None`: an image, which is there already.
     pub(crate) fn send(&mut self, mut header: Header, received_ns: u64, list: Option<&[u8]>) -> Result<(), PortError> {
         if self.port.is_none() {
             return Ok(());
@@ -103,7 +103,7 @@ impl<W: Writer> OutputPort<W> {
         Ok(())
     }
 
-    /// Writes the bytes of items where the next message is sent from, by [`Self::send`] without a list.
+    /// Writes the bytes of items into the memory of the next message, which [`Self::send`] sends without a list.
     pub(crate) fn write(&mut self, bytes: &[u8]) -> Result<(), PortError> {
         let Some((writer, _)) = &mut self.port else { return Ok(()) };
         let length = bytes.len() / writer.item().size();
@@ -111,12 +111,12 @@ impl<W: Writer> OutputPort<W> {
         Ok(())
     }
 
-    /// What the items of its messages are; `None` where nothing is wired to it.
+    /// Type of its items; `None` without a topic.
     pub(crate) fn item(&self) -> Option<&ItemType> {
         self.port.as_ref().map(|(writer, _)| writer.item())
     }
 
-    /// Adds what the last step, which met `frame`, counted to the record.
+    /// Adds the counts of the last step, which processed `frame`, to the record.
     pub(crate) fn tally(&mut self, status: &mut Status, frame: u64) {
         status.sent = self.number;
         status.sent_bytes += std::mem::take(&mut self.bytes);
@@ -128,10 +128,10 @@ impl<W: Writer> OutputPort<W> {
         self.counts.clear();
     }
 
-    /// Sends on what a stage on another machine wrote, as that stage wrote it.
+    /// Forwards a message of a stage on another machine unchanged.
     ///
     /// # Errors
-    /// The transport failed, or the run ended while it waited.
+    /// The transport failed, or the run ended while this process waited.
     pub fn relay(&mut self, header: &Header, bytes: &[u8]) -> Result<(), PortError> {
         self.await_readers()?;
         self.write(bytes)?;
@@ -144,23 +144,24 @@ impl<W: Writer> OutputPort<W> {
         Ok(())
     }
 
-    /// Notes how many messages a stage of another machine has sent.
+    /// Records the number of messages that a stage of another machine has sent.
     pub fn note_count(&mut self, writer: Text<32>, count: u64) {
         self.relayed.insert(writer, count);
     }
 
-    /// Hands readers that were started anew what is kept for them: they need not wait until there is something to send.
+    /// Resends kept messages to restarted readers, without waiting for the next message.
     pub fn catch_up(&mut self) {
         self.port.iter_mut().for_each(|(writer, _)| writer.catch_up());
     }
 
-    /// How many messages were sent since the first that a reader which wants every message has not finished, that one included.
+    /// Number of messages sent since the first one that a lossless reader has not finished, inclusive; the maximum over the
+    /// readers.
     pub fn unfinished(&self) -> usize {
         self.behind(|_| 1).map(|(_, count)| count).max().unwrap_or(0)
     }
 
-    /// Waits until the readers that want every message have finished all that was sent, for as long as anything becomes of
-    /// that: what is kept for them goes with this process.
+    /// Waits until the lossless readers have finished all sent messages, for as long as they make progress: messages kept for
+    /// them are lost when this process ends.
     pub(crate) fn await_finish(&mut self) {
         let mut patience = Patience::new();
         while !self.stop.forced() {
@@ -168,7 +169,7 @@ impl<W: Writer> OutputPort<W> {
             let Some((reader, _)) = unfinished.first() else { break };
             self.stop.wait_for(reader);
             let Some((writer, _)) = &mut self.port else { break };
-            // One that is away is about to be started anew.
+            // A reader that is away is about to be restarted.
             if patience.is_over((writer.connected(), unfinished), Instant::now()) {
                 break;
             }
@@ -176,7 +177,7 @@ impl<W: Writer> OutputPort<W> {
         }
     }
 
-    /// The readers that have not finished so many messages, or more, and will go on; with the number of them.
+    /// Readers with at least `least` unfinished messages that will continue, each with that number.
     pub(super) fn behind(&self, least: impl Fn(&TopicReader) -> usize) -> impl Iterator<Item = (&TopicReader, usize)> {
         let readers = self
             .port
@@ -185,7 +186,7 @@ impl<W: Writer> OutputPort<W> {
         readers.filter(move |(reader, count)| *count >= least(reader) && !self.peers.is_over(&reader.stage))
     }
 
-    /// Tells all readers that nothing more will come, and stays until they have taken all.
+    /// Sends the end of the stream to all readers, and waits until they have taken everything.
     pub(crate) fn end(&mut self) -> Result<(), PortError> {
         self.end_each(&[end_of_stream(&self.last, self.stage, self.number)])
     }
@@ -201,13 +202,13 @@ impl<W: Writer> OutputPort<W> {
     }
 
     fn end_each(&mut self, ends: &[Header]) -> Result<(), PortError> {
-        // Ends take the place of messages that are kept.
+        // Ends would replace messages that are kept.
         self.await_finish();
         let (mut announcement, mut looked) =
             (EndAnnouncement::until(Instant::now() + PATIENCE_WITH_LIVE_READERS), Instant::now());
         while !self.stop.forced() && !self.announce_end(ends, &mut announcement, Instant::now())? {
             match &mut self.port {
-                // One that was killed, and does not come again, is there until somebody clears it away.
+                // A reader that was killed, and is not restarted, counts as connected until its port is cleaned up.
                 Some((writer, _)) if looked.elapsed() > ANNOUNCEMENT_PERIOD => {
                     looked = Instant::now();
                     writer.wait(READER_CHECK_PERIOD);
@@ -218,7 +219,8 @@ impl<W: Writer> OutputPort<W> {
         Ok(())
     }
 
-    /// Announces the ends to readers that came since the last look; whether all that were to know of them do, and are gone `now`.
+    /// Sends the ends to readers that are new since the last check. Returns whether all that need the ends have received them and
+    /// have gone by `now`.
     pub(super) fn announce_end(
         &mut self,
         ends: &[Header],
@@ -227,9 +229,9 @@ impl<W: Writer> OutputPort<W> {
     ) -> Result<bool, PortError> {
         let Some((writer, topic)) = &mut self.port else { return Ok(true) };
         let connected = writer.connected();
-        // A stage that was started anew between two looks does not know, whatever its name.
+        // A stage that restarted between two checks has the same name, but has not received the end.
         let is_new = connected.iter().any(|reader| !announcement.before.contains(reader));
-        // A queue overflows only where no reader of the topic is lossless. Where one is, the others may miss the end.
+        // A queue drops messages only if no reader of the topic is lossless. If one is, the other readers may miss the end.
         let may_have_missed = |reader: &ConnectedReader| topic.delivery_to(&reader.stage) == Delivery::Latest;
         let is_due = topic.is_lossless()
             && connected.iter().any(may_have_missed)
@@ -239,9 +241,9 @@ impl<W: Writer> OutputPort<W> {
             ends.iter().try_for_each(|end| writer.send(end).map(drop))?;
         }
         announcement.reached.extend(connected.iter().map(|reader| reader.stage.clone()));
-        // One that was told and is not over was killed, and will come again; where nothing is known of it, it has most likely
-        // ended. The bridge is over when all its topics are, but leaves each when it has passed on the end. One that was killed
-        // needs nobody to tell it again.
+        // A reader that received the end and is not over was killed, and will be restarted. If its state is unknown, it has most
+        // likely ended. The bridge is over only when all its topics are, but leaves each topic once it has forwarded the end; if
+        // it was killed it does not need the end again.
         let ends_alone = |stage: &str| stage == BRIDGE || self.peers.life(stage).is_none();
         let is_told = |reader: &TopicReader| ends_alone(&reader.stage) && announcement.reached.contains(&reader.stage);
         let all_told = self.absent_readers(false).all(is_told);
@@ -254,8 +256,8 @@ impl<W: Writer> OutputPort<W> {
         Ok(false)
     }
 
-    /// Waits for the readers that must not miss a message, until they are there and have room for another one, and before the
-    /// first one also for the others, for a while.
+    /// Waits until the lossless readers are connected and have room; before the first message it waits for the other readers,
+    /// too, for a limited time.
     fn await_readers(&mut self) -> Result<(), PortError> {
         self.await_room()?;
         let deadline = Instant::now() + PATIENCE_WITH_LIVE_READERS;
@@ -275,7 +277,7 @@ impl<W: Writer> OutputPort<W> {
         }
     }
 
-    /// Waits until no reader has so many unfinished messages that another one would take the place of what is kept for it.
+    /// Waits until no reader has so many unfinished messages that another one would replace a kept message.
     fn await_room(&mut self) -> Result<(), PortError> {
         loop {
             let full = self.behind(TopicReader::credit).next().map(|(reader, _)| reader.stage.clone());
@@ -289,7 +291,7 @@ impl<W: Writer> OutputPort<W> {
         }
     }
 
-    /// Readers of the pipeline that are not there and still to come; only the lossless ones, or all.
+    /// Readers of the pipeline that are not connected and still to come; only the lossless ones, or all.
     pub(super) fn absent_readers(&self, only_lossless: bool) -> impl Iterator<Item = &TopicReader> {
         let (connected, topic) = self.port.as_ref().map(|(writer, topic)| (writer.connected(), topic)).unzip();
         let connected: Vec<ConnectedReader> = connected.unwrap_or_default();
@@ -301,14 +303,14 @@ impl<W: Writer> OutputPort<W> {
     }
 }
 
-/// How far the announcement of a writer's end has come.
+/// Progress of announcing a writer's end.
 #[derive(Clone, Debug)]
 pub(super) struct EndAnnouncement {
-    /// The readers that were there at the last look.
+    /// The readers that were connected at the last check.
     pub(super) before: Vec<ConnectedReader>,
     pub(super) reached: BTreeSet<String>,
     last: Option<Instant>,
-    /// Until then readers are waited for that never came.
+    /// Time until which readers that never connected are waited for.
     deadline: Instant,
 }
 
@@ -318,7 +320,7 @@ impl EndAnnouncement {
     }
 }
 
-/// What a step counted, as a list that is written only where somebody reads it.
+/// Counts of a step as text, formatted only when it is logged.
 struct Counts<'a>(&'a BTreeMap<&'static str, u64>);
 
 impl Display for Counts<'_> {
@@ -330,8 +332,8 @@ impl Display for Counts<'_> {
     }
 }
 
-/// The message that ends the stream of a stage: a header like the last one, without items, whose number tells how many messages
-/// there were.
+/// End of a stage's stream: a message without items, with a header like the last one, whose number is the number of messages
+/// sent.
 pub fn end_of_stream(last: &Header, stage: Text<32>, count: u64) -> Header {
     let mut header = Header { flags: END_OF_STREAM, number: count, hop_count: 0, ..*last };
     header.add_hop(Hop { stage, received_ns: 0, sent_ns: monotonic_ns() });

@@ -1,4 +1,4 @@
-//! Tests of an output: for whom it waits, what it counts, and how it tells its end.
+//! Tests of an output: which readers it waits for, what it counts, and how it ends its stream.
 
 use super::output_port::{EndAnnouncement, OutputPort, PATIENCE_WITH_LIVE_READERS, end_of_stream};
 use super::peers::Peers;
@@ -22,10 +22,10 @@ use std::thread;
 use std::time::{Duration, Instant};
 use tracing::Level;
 
-/// Messages that wait for a reader at most.
+/// Queue length of a reader.
 const QUEUE: usize = 2;
 
-/// An output, the topic that it writes, and where that is.
+/// An output, its topic, and the memory.
 struct Trial {
     memory: InMemory,
     topic: Topic,
@@ -34,7 +34,7 @@ struct Trial {
 }
 
 impl Trial {
-    /// The output of a stage that has sent so many messages before, to these readers.
+    /// The output of a stage that has sent `sent` messages before, with these readers.
     fn new(readers: &[(&str, Delivery)], sent: u64) -> Self {
         Self::among(Peers::default(), readers, sent)
     }
@@ -69,7 +69,7 @@ fn header() -> Header {
     Header { camera, depth_scale: 0.001, ..Header::default() }
 }
 
-/// The head of a message of a stage of another machine.
+/// Header of a message of a stage of another machine.
 fn written_by(writer: &str, number: u64) -> Header {
     let mut header = Header { number, sequence: number, ..header() };
     header.add_hop(Hop { stage: Text::new(writer), ..Hop::default() });
@@ -93,12 +93,12 @@ fn a_source_is_told_once_what_it_most_likely_did_not_mean_and_who_passes_it_on_i
     assert_eq!(told(without_camera, &mut trial), "");
 }
 
-/// The numbers of the messages that wait for this reader.
+/// Numbers of the messages in the queue of this reader.
 fn waiting(reader: &mut MemoryReader) -> Vec<u64> {
     from_fn(|| reader.receive().unwrap()).map(|message| message.header().number).collect()
 }
 
-/// The ends that wait for this reader: of which stage, and after how many messages.
+/// Ends of streams in the queue of this reader: writer, and number of its messages.
 fn ends(reader: &mut MemoryReader) -> Vec<(String, u64)> {
     let ends = from_fn(|| reader.receive().unwrap()).filter(|message| message.header().ends_stream());
     ends.map(|end| (end.header().trace()[0].stage.to_string(), end.header().number)).collect()
@@ -106,7 +106,7 @@ fn ends(reader: &mut MemoryReader) -> Vec<(String, u64)> {
 
 #[test]
 fn the_first_message_waits_for_all_readers_and_those_that_follow_for_those_that_must_not_miss_one() {
-    // Who waits at the end of a run does not send.
+    // At the end of a run a waiting writer gives up and does not send.
     let waits = |delivery, sent, is_there| {
         let mut trial = Trial::new(&[("sink", delivery)], sent);
         let _reader = Some(trial.reader("sink")).filter(|_| is_there);
@@ -168,7 +168,7 @@ fn a_reader_has_no_more_unfinished_messages_than_are_kept_for_it() {
     let mut trial = Trial::new(&[("sink", Delivery::Lossless), ("viewer", Delivery::Latest)], 0);
     let [mut reader, _viewer] = ["sink", "viewer"].map(|stage| trial.reader(stage));
     trial.stop.force();
-    // Those that wait, and one in its hands.
+    // Those in the queue, and one being processed.
     (0..=QUEUE).for_each(|_| trial.send().unwrap());
     assert_eq!(trial.output_port.unfinished(), QUEUE + 1);
     assert!(matches!(trial.send(), Err(PortError::Stopped)), "it would wait");
@@ -195,14 +195,14 @@ fn what_a_reader_that_has_ended_did_not_finish_is_nobodys() {
     trial.send().unwrap();
 }
 
-/// Says, as others see it, for whom the stage waits.
+/// The stage that this stage waits for, according to its record.
 fn waits_for(record: &File) -> String {
     let mut told = [0; 32];
     record.read_at(&mut told, 8).unwrap();
     bytemuck::cast::<_, Text<32>>(told).to_string()
 }
 
-/// From now on it can be seen for whom the stage of this trial waits.
+/// Returns the file in which the stage of this trial records which stage it waits for.
 fn watched(trial: &Trial) -> File {
     let record = tempfile::tempfile().unwrap();
     record.set_len(64).unwrap();
@@ -360,7 +360,7 @@ fn what_is_relayed_is_what_the_stage_of_the_other_machine_wrote() {
     assert_eq!(status.sent, 4);
 }
 
-/// Beside a lossless reader the others lose what does not fit into their queue, an end as well.
+/// Beside a lossless reader the others lose messages that do not fit into their queue, ends included.
 #[test]
 fn the_end_is_told_again_now_and_then_where_it_may_have_been_lost() {
     let told = |readers: &[(&str, Delivery)], present: &str| {
@@ -406,7 +406,7 @@ fn who_ends_waits_for_a_while_for_a_reader_that_never_came() {
         let begin = Instant::now();
         let ending = scope.spawn(|| trial.output_port.end());
         thread::sleep(Duration::from_millis(100));
-        // Who was held up for so long finds it finished, and rightly.
+        // On a machine that delays this test by that long, the wait may rightly be over.
         assert!(!ending.is_finished() || begin.elapsed() >= PATIENCE_WITH_LIVE_READERS);
         stop.force();
         ending.join().unwrap().unwrap();

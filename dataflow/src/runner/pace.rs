@@ -1,42 +1,43 @@
-//! When a source makes or sends its next message: at its rate, as far apart as the stamps are, and not while the run is paused.
+//! Timing of a source: it makes or sends messages at its rate, or at the intervals of their stamps, and not while the run is
+//! paused.
 
 use crate::pause::{Pause, Turn};
 use crate::status::{Pausing, StatusFile};
 use crate::stop::Stop;
 use std::time::{Duration, Instant};
 
-/// What is due later than this is never due, for whoever waits for it; 30 years, which any clock can tell.
+/// Longest period, 30 years: longer ones count as never due, and any clock can represent this one.
 const LONGEST_PERIOD_S: f64 = 1e9;
-/// A source that waits looks this often whether a request came.
+/// A waiting source checks this often for a pause.
 const PAUSE_CHECK_PERIOD: Duration = Duration::from_millis(20);
-/// A wait for a stamp that is longer is told: whoever looks on may take the run for one that stands still.
+/// A longer wait for a stamp is logged, as an observer could take the run for stalled.
 const LONG: Duration = Duration::from_secs(5); // [algorithmic]
 
-/// How a source wants its messages in time.
+/// Timing that a source asks for.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Rhythm {
     /// Messages per second; 0: as fast as they are taken.
     pub(crate) rate_hz: f64,
-    /// They are as far apart as their stamps, whatever the rate.
+    /// Messages are sent at the intervals of their stamps, whatever the rate.
     pub(crate) keeps_stamps: bool,
-    /// Whether it can stand still.
+    /// Whether it can be paused.
     pub(crate) can_pause: bool,
 }
 
-/// Keeps a source to its rhythm: a message is due at fixed times, however long the making of one takes.
+/// Times a source's messages: each is due at a fixed time, however long the previous one took.
 #[derive(Debug)]
 pub(crate) struct Pace {
     period: Duration,
     keeps_stamps: bool,
     due: Option<Instant>,
-    /// The stamp of the message before.
+    /// Stamp of the previous message.
     stamp_ns: Option<u64>,
     stop: Stop,
     pause: Pause,
 }
 
 impl Pace {
-    /// A pace in this rhythm, of a source that is paused as `pause` says, if it can be.
+    /// Pace of a source with this rhythm; `pause` pauses it, if it can be paused.
     pub(crate) fn new(rhythm: Rhythm, stop: Stop, pause: Pause) -> Self {
         let Rhythm { rate_hz, keeps_stamps, can_pause } = rhythm;
         let period_s = if rate_hz > 0.0 { (1.0 / rate_hz).min(LONGEST_PERIOD_S) } else { 0.0 };
@@ -44,7 +45,7 @@ impl Pace {
         Self { period: Duration::from_secs_f64(period_s), keeps_stamps, due: None, stamp_ns: None, stop, pause }
     }
 
-    /// Waits until the next message is to be made, or the run is to end, and does something else now and then. A source that fell
+    /// Waits until the next message is to be made, or the run is to end, and calls `meanwhile` now and then. A source that fell
     /// behind by more than one message does not hurry to catch up.
     pub(crate) fn wait_to_make(&mut self, record: &mut StatusFile, meanwhile: impl FnMut()) {
         if self.keeps_stamps {
@@ -57,8 +58,9 @@ impl Pace {
         self.wait_until(due, record, meanwhile);
     }
 
-    /// Waits until a message with this stamp is to be sent, as long after the one before as their stamps say, or the run is to
-    /// end. One that is late does not make the others hurry. Without a stamp it waits only while the run is paused.
+    /// Waits until a message with this stamp is to be sent, after the interval between its stamp and the previous one, or until
+    /// the run is to end. A late message does not make the next ones hurry. Without a stamp it waits only while the run is
+    /// paused.
     pub(crate) fn wait_to_send(&mut self, stamp_ns: Option<u64>, record: &mut StatusFile, meanwhile: impl FnMut()) {
         if !self.keeps_stamps {
             return;
@@ -84,7 +86,7 @@ impl Pace {
                 Turn::Go => left.min(PAUSE_CHECK_PERIOD),
                 Turn::Stand => PAUSE_CHECK_PERIOD,
                 Turn::Step => {
-                    // What follows is due after this one, not after the time at which it would have been due.
+                    // The next message is due one period after this one, not after this one's due time.
                     self.due = Some(Instant::now());
                     return;
                 }
@@ -95,7 +97,7 @@ impl Pace {
     }
 }
 
-/// What is said of a wait for the next stamp, if it is long.
+/// Message to log for a long wait for the next stamp.
 fn long_wait(wait: Duration) -> Option<String> {
     let what = "later by its stamp, and is waited for";
     let hint = "did a clock jump while it was recorded? `rate_hz` plays it at a rate, whatever the stamps; 0: at once";
@@ -103,7 +105,7 @@ fn long_wait(wait: Duration) -> Option<String> {
     (wait > LONG).then(|| format!("the next frame is {wait_s} s {what}\n  hint: {hint}"))
 }
 
-/// Notes in the record whether the source stands still, where that is new.
+/// Records whether the source is paused, if that has changed.
 fn tell(record: &mut StatusFile, turn: Turn) {
     let pausing = if turn == Turn::Go { Pausing::Goes } else { Pausing::Stands };
     if ![Pausing::Cannot, pausing].contains(&record.status.pausing()) {
@@ -156,7 +158,7 @@ mod tests {
     #[test]
     fn messages_are_due_one_period_after_the_other_and_who_fell_far_behind_begins_anew() {
         let (stop, mut record) = (Stop::default(), StatusFile::nowhere());
-        // Whoever is to end does not wait.
+        // A source that is to end does not wait.
         stop.request();
         let mut pace = Pace::new(rhythm(4.0), stop, Pause::default());
         let mut due = |pace: &mut Pace| {

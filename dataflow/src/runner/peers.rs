@@ -1,4 +1,4 @@
-//! What a stage can know of the other stages of its run: whether they still live.
+//! State of the other stages of a run, as one stage can see it.
 
 use crate::pipeline::BRIDGE;
 use crate::status::{Life, NO_RUN, Status, status_path};
@@ -7,23 +7,23 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::{fs, io};
 
-/// The end of the name of a file that says that the stream of a stage of another machine has ended.
+/// Suffix of the file that records the end of a stream from another machine.
 pub(crate) const END: &str = "end";
 
-/// The other stages of a run, by the records in its folder.
+/// The other stages of a run, read from the records in its folder.
 #[derive(Clone, Debug, Default)]
 pub struct Peers {
     run: Option<(PathBuf, u64)>,
-    /// Those of this machine.
+    /// Names of the stages of this machine.
     here: Arc<BTreeSet<String>>,
-    /// What a model of a run knows in place of records.
+    /// States in a model of a run, in place of records.
     #[cfg(test)]
     modelled: Option<fn(&str) -> Option<Life>>,
 }
 
 impl Peers {
-    /// The stages of the run `run` whose records lie in `folder`, of which these are on this machine; of stages that were started
-    /// one by one nothing is known.
+    /// The stages of the run `run` with records in `folder`; those in `here` are on this machine. Without a run (stages started
+    /// one by one) nothing is known of other stages.
     pub fn in_folder(folder: PathBuf, run: u64, here: BTreeSet<String>) -> Self {
         Self {
             run: (run != NO_RUN).then_some((folder, run)),
@@ -38,8 +38,8 @@ impl Peers {
         Self { modelled: Some(life), ..Self::default() }
     }
 
-    /// Whether nothing more comes of a stage: it has ended, or is gone for good; of one of another machine its stream has
-    /// ([`Peers::note_end`]), or the bridge to there.
+    /// Whether no more messages can come from a stage: it has ended, or is gone for good. For a stage of another machine: its
+    /// stream has ended ([`Peers::note_end`]), or the bridge to it.
     pub fn is_over(&self, stage: &str) -> bool {
         let elsewhere = self.run.as_ref().filter(|_| !self.here.contains(stage));
         let Some((folder, run)) = elsewhere else { return self.life(stage).is_some_and(Life::is_over) };
@@ -47,7 +47,7 @@ impl Peers {
         noted.is_some_and(|of_run| of_run == run.to_string()) || self.life(BRIDGE).is_some_and(Life::is_over)
     }
 
-    /// Notes that the stream of a stage of another machine has ended, for readers that come when nobody is left to tell them.
+    /// Records that the stream of a stage of another machine has ended, for readers that come after its end was sent.
     ///
     /// # Errors
     /// The run's folder cannot be written.
@@ -56,7 +56,7 @@ impl Peers {
         fs::write(end_path(folder, stage), run.to_string())
     }
 
-    /// Where a stage of this machine is in its life; `None` if nothing is known of it.
+    /// State of a stage of this machine; `None` if unknown.
     pub fn life(&self, stage: &str) -> Option<Life> {
         #[cfg(test)]
         if let Some(life) = self.modelled {
@@ -68,7 +68,7 @@ impl Peers {
     }
 }
 
-/// The file that says that the stream of a stage of another machine has ended, and in which run.
+/// Path of the file that records the end of a stream from another machine; its content is the run.
 fn end_path(folder: &Path, stage: &str) -> PathBuf {
     folder.join(format!("{stage}.{END}"))
 }

@@ -1,4 +1,4 @@
-//! A stage in its place.
+//! Tests of a stage's start, handover and end.
 
 use super::handover::tests::successor;
 use super::place_trial::{Trial, ball, end_of, from, mark, send, send_items, taken, taken_until_end, topic};

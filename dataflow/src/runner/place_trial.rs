@@ -1,4 +1,4 @@
-//! A run of one stage or source in memory, for the tests of how these take, leave and end their place in a run.
+//! A run of one stage or source in memory, for tests of how these start, hand over and end.
 
 use super::handover::{Handover, Successor, Watermark};
 use super::peers::Peers;
@@ -27,7 +27,7 @@ use tempfile::TempDir;
 pub(super) const RUN: u64 = 7;
 pub(super) const STAMPS_APART: Duration = Duration::from_millis(40);
 
-/// Notes in the file `made` that something was made ready, unless that is called `refused`.
+/// Appends to the file `made` whenever a stage is created; fails for one called `refused`.
 fn note_made(context: &Context) -> Result<(), StageError> {
     if context.stage == "refused" {
         return Err("it is refused".into());
@@ -35,7 +35,7 @@ fn note_made(context: &Context) -> Result<(), StageError> {
     Ok(File::options().append(true).create(true).open(context.resolve("made".as_ref()))?.write_all(b"!")?)
 }
 
-/// Takes what it gets.
+/// A sink that ignores its messages.
 pub(super) struct Taking;
 
 impl Stage for Taking {
@@ -55,7 +55,7 @@ impl Stage for Taking {
     }
 }
 
-/// Passes on what it gets, and counts the items of its side inputs; one that is called `full` has no room, and one that is called
+/// A stage that passes its input on, and counts the items of its side inputs. One called `full` finds no memory, and one called
 /// `failing` fails.
 pub(super) struct Passing {
     name: String,
@@ -95,8 +95,8 @@ impl Stage for Passing {
     }
 }
 
-/// Makes three balls, or none if it is called `empty`, and counts how often it had none, and the items of its side input; one that
-/// is called `failing` cannot end, and one that is called `stamped` keeps to its stamps.
+/// A source that makes three balls, or none if it is called `empty`, and counts how often it had none, and the items of its side
+/// input. One called `failing` cannot end, and one called `stamped` keeps the intervals of its stamps.
 pub(super) struct Making {
     made: u64,
     total: u64,
@@ -147,7 +147,7 @@ pub(super) fn ball() -> Object {
     Object { kind: ObjectKind::Sphere.code(), radius: 0.1, ..Object::default() }
 }
 
-/// The head of the message `number` of a writer that makes the frames itself.
+/// Header of the message `number` of a writer that is also the source.
 pub(super) fn from(writer: &str, number: u64) -> Header {
     let camera = Camera { width: 4, height: 3, fx: 5.0, fy: 5.0, cx: 1.5, cy: 1.0 };
     let mut header = Header { epoch: 1, sequence: number, number, camera, depth_scale: 0.001, ..Header::default() };
@@ -165,7 +165,7 @@ pub(super) fn topic(name: &str, writers: &[&str], reader: &str, delivery: Delive
     Topic { name: name.to_owned(), item: None, writers, readers }
 }
 
-/// Ends at once what a test has begun, also where that fails.
+/// Forces the end of a test's threads when dropped, also if the test fails.
 pub(super) struct AtOnce(pub Stop);
 
 impl Drop for AtOnce {
@@ -174,13 +174,13 @@ impl Drop for AtOnce {
     }
 }
 
-/// The run of one stage, whose messages are kept.
+/// A run of one stage, whose writers keep messages.
 pub(super) struct Trial {
     pub(super) folder: TempDir,
     pub(super) memory: InMemory,
     pub(super) stage: String,
     pub(super) stop: Stop,
-    /// What it knows of other stages.
+    /// State of other stages as this one sees it.
     pub(super) life: fn(&str) -> Option<Life>,
 }
 
@@ -195,7 +195,7 @@ impl Trial {
         topic("in", &["upstream"], &self.stage, delivery)
     }
 
-    /// What a viewer reads.
+    /// The output topic, with a viewer as its reader.
     pub(super) fn output(&self) -> Topic {
         topic("out", &[&self.stage], "viewer", Delivery::Latest)
     }
@@ -216,7 +216,7 @@ impl Trial {
         Box::new(Status::read(&status_path(self.folder.path(), &self.stage)).unwrap())
     }
 
-    /// Whether no process has written anything into the record.
+    /// Whether no process has written the record.
     pub(super) fn is_unwritten(&self) -> bool {
         Status::read(&status_path(self.folder.path(), &self.stage)).is_none()
     }
@@ -237,12 +237,12 @@ impl Trial {
         self.memory.reader::<Object>(&self.output(), "viewer").unwrap()
     }
 
-    /// Runs the stage until it ends by itself, and does something else meanwhile.
+    /// Runs the stage until it ends by itself, and `meanwhile` beside it.
     pub(super) fn run<R>(&self, wiring: Wiring, meanwhile: impl FnOnce() -> R) -> (Result<(), RunError>, R) {
         self.run_after::<Passing, R>(wiring, None, meanwhile)
     }
 
-    /// The same of a process that replaces another.
+    /// The same for a process that replaces another.
     pub(super) fn run_after<S: Stage, R>(
         &self,
         wiring: Wiring,
@@ -287,7 +287,7 @@ impl Trial {
     }
 }
 
-/// Sends messages of one ball when the reader is there.
+/// Sends messages of one ball once the reader is connected.
 pub(super) fn send(writer: &mut MemoryWriter, headers: impl IntoIterator<Item = Header>) {
     assert!(until(|| !writer.connected().is_empty()));
     for header in headers {
@@ -300,14 +300,14 @@ pub(super) fn send_items(writer: &mut MemoryWriter, header: Header, items: &[Obj
     writer.send(&header).unwrap();
 }
 
-/// The numbers of the messages that have come, and whether the end has.
+/// Numbers of the messages that have come, and whether the end has.
 pub(super) fn taken(viewer: &mut MemoryReader) -> (Vec<u64>, bool) {
     let messages = std::iter::from_fn(|| viewer.receive().unwrap());
     let (ends, messages): (Vec<_>, Vec<_>) = messages.partition(|message| message.header().ends_stream());
     (messages.iter().map(|message| message.header().number).collect(), !ends.is_empty())
 }
 
-/// The same of what comes until the end does.
+/// Numbers of the messages that come until the end does.
 pub(super) fn taken_until_end(mut viewer: MemoryReader) -> Vec<u64> {
     let mut all = Vec::new();
     assert!(until(|| {
@@ -322,7 +322,7 @@ pub(super) fn mark(number: u64) -> Watermark {
     Watermark { numbers: [(Text::new("upstream"), number)].into(), ..Watermark::default() }
 }
 
-/// Waits until a successor says that it is ready.
+/// Waits until a successor reports that it is ready.
 pub(super) fn is_ready(launcher: &mut UnixStream, patience: Duration) -> bool {
     launcher.set_read_timeout(Some(patience)).unwrap();
     launcher.read(&mut [0]).is_ok_and(|length| length == 1)

@@ -1,5 +1,5 @@
-//! A source whose program makes its messages in a loop of its own, in place of being called for them: what a binding to another
-//! language stands on. It has the rights and duties of a [`Source`](crate::Source).
+//! A source whose program makes its messages in a loop of its own, instead of being called for them: the base of bindings to
+//! other languages. It has the rights and duties of a [`Source`](crate::Source).
 
 use super::pace::Rhythm;
 use super::side_ports::{RetainedMessage, retained};
@@ -12,21 +12,21 @@ use conicflow_messages::{AnyByte, Header};
 use serde_json::Value as Json;
 use std::time::{Duration, Instant};
 
-/// A source that makes its messages by itself.
+/// A source that drives its own loop.
 pub struct PulledSource {
     place: SourcePlace<SharedMemory>,
     context: Context,
     parameters: Json,
-    /// When the making of the present frame began.
+    /// Time at which work on the current frame began.
     started: Option<Instant>,
-    /// The run ended while a message was to be sent.
+    /// Whether the run ended while a message was to be sent.
     is_over: bool,
 }
 
 impl PulledSource {
-    /// Takes the place of a source that makes `total` messages in all, where that is known, and no more in a second than its
-    /// parameter `rate_hz` says, where it has one; one without an end goes on while the run is paused. `None` where a successor
-    /// is not wanted any more.
+    /// Opens a source. `total` is the number of its messages, where known; its parameter `rate_hz`, where it has one, limits the
+    /// rate. A source without a total goes on while the run is paused. `None`: this process is a successor that is no longer
+    /// wanted.
     pub(crate) fn open(
         mut runtime: StageRuntime<SharedMemory>,
         parameters: Json,
@@ -53,17 +53,17 @@ impl PulledSource {
         Ok(Some(Self { place, context, parameters, started: None, is_over: false }))
     }
 
-    /// What it was told when it started.
+    /// Information for the source at its start.
     pub fn context(&self) -> &Context {
         &self.context
     }
 
-    /// Its parameters, as the pipeline file has them.
+    /// Its parameters from the pipeline file.
     pub fn parameters(&self) -> &Json {
         &self.parameters
     }
 
-    /// Waits until the next message is due; its number, or `None` where the source is to end.
+    /// Waits until the next message is due, and returns its number; `None`: the source is to end.
     ///
     /// # Errors
     /// Its ports failed.
@@ -76,15 +76,15 @@ impl PulledSource {
         Ok(Some(self.place.sequence))
     }
 
-    /// The latest messages of the side inputs, by their names; each may be missing.
+    /// The latest messages of the side inputs, by name; each may be missing.
     pub fn side_inputs(&self) -> impl Iterator<Item = (&str, RetainedMessage, &ItemType)> {
         retained(&self.place.side_inputs)
     }
 
-    /// Sends a message; a number in the header counts where it rises.
+    /// Sends a message; the sequence number of its header is kept if it rises.
     ///
     /// # Errors
-    /// Items that no reader would take, or its ports failed.
+    /// No reader would take the items, or its ports failed.
     pub fn send(&mut self, header: Header, bytes: &[u8]) -> Result<(), RunError> {
         let place = &mut self.place;
         let Some(item) = place.output_port.item().cloned() else { return Ok(()) };
@@ -99,17 +99,17 @@ impl PulledSource {
         Ok(())
     }
 
-    /// The least number that the next message can have.
+    /// Smallest sequence number that the next message can have.
     pub fn sequence(&self) -> u64 {
         self.place.sequence
     }
 
-    /// The frame that is being made, if one is.
+    /// Sequence number of the current frame, if there is one.
     pub fn frame(&self) -> Option<u64> {
         self.started.map(|_| self.place.sequence)
     }
 
-    /// Whether it has asked for a number: what goes wrong before is a fault of making it ready.
+    /// Whether it has asked for a number: errors before that are errors of its start.
     pub fn has_begun(&self) -> bool {
         self.started.is_some()
     }
@@ -118,7 +118,7 @@ impl PulledSource {
     pub fn count(&mut self, name: &str, times: u64) {
         if times > 0 {
             self.place.record.status.count(name, times);
-            // It may count for long before it sends anything.
+            // It may count for a long time before it sends a message.
             self.place.record.write();
         }
     }

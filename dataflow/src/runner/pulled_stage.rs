@@ -1,5 +1,5 @@
-//! A stage whose program asks for its messages, in place of being called with them: what a binding to another language
-//! stands on. It has the rights and duties of a [`Stage`](crate::Stage), and sends exactly one message for each that it takes.
+//! A stage whose program pulls its messages, instead of being called with them: the base of bindings to other languages. It has
+//! the rights and duties of a [`Stage`](crate::Stage), and sends exactly one message for each that it takes.
 
 use super::side_ports::{RetainedMessage, retained};
 use super::stage_place::{StagePlace, item_of, open_input};
@@ -16,30 +16,30 @@ use serde_json::Value as Json;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// A stage, a sink included, that asks for its messages.
+/// A stage or sink that pulls its messages.
 pub struct PulledStage {
     place: StagePlace<SharedMemory>,
     context: Context,
     parameters: Json,
     step: Option<Step>,
-    /// The run ended while a message was to be sent.
+    /// Whether the run ended while a message was to be sent.
     is_over: bool,
     has_begun: bool,
 }
 
-/// What is made of one message.
+/// Work on one message.
 struct Step {
     header: Header,
     received_ns: u64,
     started: Instant,
-    /// Time in which its readers had no room.
+    /// Time for which sending was blocked by its readers.
     waited: Duration,
     has_sent: bool,
 }
 
 impl PulledStage {
-    /// Takes the place of a stage, whose side inputs in `same_frame` are to be of the frame of each step, the others the latest;
-    /// `None` where a successor is not wanted any more.
+    /// Opens a stage. Side inputs in `same_frame` deliver the message of each step's frame, the others the latest one. `None`:
+    /// this process is a successor that is no longer wanted.
     pub(crate) fn open(
         mut runtime: StageRuntime<SharedMemory>,
         parameters: Json,
@@ -66,23 +66,23 @@ impl PulledStage {
         Ok(Some(Self { place, context, parameters, step: None, is_over: false, has_begun: false }))
     }
 
-    /// What it was told when it started.
+    /// Information for the stage at its start.
     pub fn context(&self) -> &Context {
         &self.context
     }
 
-    /// Its parameters, as the pipeline file has them.
+    /// Its parameters from the pipeline file.
     pub fn parameters(&self) -> &Json {
         &self.parameters
     }
 
-    /// The topic that drives it, and what that carries.
+    /// Name and item type of the driving topic.
     pub fn input(&self) -> (&str, &ItemType) {
         (self.place.input_topic(), self.place.input_item())
     }
 
-    /// Ends the step with the last message, and takes the next one, with the moment at which it came (see [`monotonic_ns`]); waits
-    /// for it, at most for `patience`. Where none will come, the stage is to end.
+    /// Ends the step on the last message, and takes the next one, with the time of its receipt (see [`monotonic_ns`]). Waits for
+    /// it, at most for `patience`. `Over`: the stage is to end.
     ///
     /// # Errors
     /// Its ports failed.
@@ -105,25 +105,25 @@ impl PulledStage {
         }
     }
 
-    /// The messages of the side inputs that go with the step, by their names; each may be missing.
+    /// The messages of the side inputs that belong to the step, by name; each may be missing.
     pub fn side_inputs(&self) -> impl Iterator<Item = (&str, RetainedMessage, &ItemType)> {
         retained(&self.place.side_inputs)
     }
 
-    /// The frame of the step, if there is one.
+    /// Sequence number of the step's frame, if there is a step.
     pub fn frame(&self) -> Option<u64> {
         self.step.as_ref().map(|step| step.header.sequence)
     }
 
-    /// Whether it has asked for a message: what goes wrong before is a fault of making it ready.
+    /// Whether it has pulled a message: errors before that are errors of its start.
     pub fn has_begun(&self) -> bool {
         self.has_begun
     }
 
-    /// Sends what came of the step, with the header of its message, to be changed by `change` where need be.
+    /// Sends the output of the step. Its header is that of the input, which `change` may change.
     ///
     /// # Errors
-    /// There is no step, it has sent already, or there is no output, or its ports failed; items that no reader would take.
+    /// There is no step, it has already sent, there is no output, or its ports failed; or no reader would take the items.
     pub fn send(&mut self, change: impl FnOnce(&mut Header), bytes: &[u8]) -> Result<(), RunError> {
         let fault = |what: &str, hint: &str| RunError::refused(what, hint);
         let Some(item) = self.place.output_port.item().cloned() else {
@@ -161,7 +161,7 @@ impl PulledStage {
         }
     }
 
-    /// Counts the step, which sends an empty list where it has sent nothing.
+    /// Ends and counts the step; if it has sent nothing, sends an empty list.
     fn end_step(&mut self) -> Result<(), RunError> {
         if self.step.as_ref().is_some_and(|step| !step.has_sent)
             && self.place.output_port.item().is_some_and(|item| !item.is_image())

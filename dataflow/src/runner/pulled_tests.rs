@@ -1,4 +1,4 @@
-//! Tests of a source and a stage that ask for their messages, over shared memory.
+//! Tests of a source and a stage that pull their messages, over shared memory.
 
 use super::StageRuntime;
 use super::peers::Peers;
@@ -44,7 +44,7 @@ fn source(root: &Path, frames: u64) -> PulledSource {
     PulledSource::open(runtime(root, "source", wiring), json!({}), Some(9)).unwrap().unwrap()
 }
 
-/// A stage that turns objects into what the viewer reads.
+/// A stage that turns objects into the viewer's messages.
 fn stage(root: &Path, output: &Topic) -> PulledStage {
     let wiring = Wiring { input: Some(objects()), output: Some(output.clone()), ..Wiring::default() };
     PulledStage::open(runtime(root, "stage", wiring), json!({}), &[]).unwrap().unwrap()
@@ -63,7 +63,7 @@ fn header() -> Header {
     Header { camera, depth_scale: 0.001, ..Header::default() }
 }
 
-/// Number and bytes of what has come.
+/// Number and size in bytes of the received messages.
 fn came(viewer: &mut SharedReader) -> Vec<(u64, usize)> {
     let messages = from_fn(|| viewer.receive().unwrap()).filter(|message| !message.header().ends_stream());
     messages.map(|message| (message.header().number, message.bytes().len())).collect()
@@ -92,7 +92,7 @@ fn make(source: &mut PulledSource) -> Option<u64> {
 #[test]
 fn a_stage_sends_one_message_for_each_that_it_takes_and_an_empty_list_where_it_says_nothing() {
     let folder = tempfile::tempdir().unwrap();
-    // Whoever leaves last clears the folder.
+    // The last process to leave would remove the folder's files.
     let _launcher = SharedMemory::open(folder.path(), "test", "launcher", Stop::default()).unwrap();
     let output = topic::<Object>("out", "stage", "viewer");
     let (mut stage, mut viewer) = (stage(folder.path(), &output), viewer::<Object>(folder.path(), &output));

@@ -1,4 +1,4 @@
-//! The side inputs of a running stage: finds for each step the message that goes with it.
+//! The side inputs of a running stage: finds for each step the messages that belong to it.
 
 use super::input_port::InputPort;
 use crate::item_type::{AnyMessage, ItemType};
@@ -10,16 +10,16 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// How long a step waits for a message of its frame that is still on its way.
+/// Maximum wait of a step for a message of its frame that is still on its way.
 const ON_ITS_WAY: Duration = Duration::from_millis(500);
 
-/// A message that whoever has it may keep; its writer's memory is not used for another one as long.
+/// A message that its holder may keep; meanwhile the writer cannot reuse its memory.
 pub type RetainedMessage = Arc<dyn Received + Send + Sync>;
 
-/// What a stage reads: its side inputs, and what drives it.
+/// The inputs of a stage: its side inputs, and the driving one.
 pub(crate) type Inputs<R> = (Vec<SidePort<R>>, InputPort<R>);
 
-/// Opens the side input `name`, which is wired to `topic` and carries these items.
+/// Opens the side input `name`, which reads items of this type from `topic`.
 pub(crate) fn open<T: Transport>(
     transport: &T,
     (name, pairing): (&str, Pairing),
@@ -41,17 +41,17 @@ pub(crate) fn open<T: Transport>(
     })
 }
 
-/// The messages that were found, to be handed to a step.
+/// The messages that were found, for a step.
 pub(crate) fn found<R: Reader>(ports: &[SidePort<R>]) -> SideInputs<'_> {
     SideInputs(ports.iter().filter_map(|port| Some((port.name(), port.message()?))).collect())
 }
 
-/// The same to keep, with what their items are.
+/// The messages that were found, in a form that can be kept, with their item types.
 pub(crate) fn retained<R: Reader>(ports: &[SidePort<R>]) -> impl Iterator<Item = (&str, RetainedMessage, &ItemType)> {
     ports.iter().filter_map(|port| Some((port.name(), port.found.clone()? as RetainedMessage, port.input_port.item())))
 }
 
-/// A side input, opened.
+/// An open side input.
 pub(crate) struct SidePort<R: Reader> {
     input_port: InputPort<R>,
     name: String,
@@ -87,7 +87,7 @@ impl<R: Reader> SidePort<R> {
         }
     }
 
-    /// Takes what came, and forgets what the step has left behind.
+    /// Takes received messages, and drops those that the step has passed.
     fn gather(&mut self, step: &Header) -> Result<(), PortError> {
         loop {
             self.waiting.retain(|message| !follows(step, message.header()));
@@ -98,7 +98,7 @@ impl<R: Reader> SidePort<R> {
                 Some(message) => self.waiting.push_back(message),
                 None => return Ok(()),
             }
-            // What another camera has sent meanwhile hides nothing.
+            // Messages of another camera do not end the search.
             if self.waiting.back().is_some_and(|message| reaches(message.header(), step)) {
                 return Ok(());
             }
@@ -110,7 +110,7 @@ impl<R: Reader> SidePort<R> {
         &self.name
     }
 
-    /// Finds the message that goes with a step, or with no frame at all.
+    /// Finds the message for a step: by the pairing that of its frame or the latest one; for a source (`None`) the latest one.
     pub(crate) fn find(&mut self, step: Option<&Header>) -> Result<(), PortError> {
         match (self.pairing, step) {
             (Pairing::SameFrame, Some(header)) => self.find_same_frame(header),
@@ -124,29 +124,29 @@ impl<R: Reader> SidePort<R> {
         Some(AnyMessage { header: message.header(), item: self.input_port.item(), bytes: message.bytes() })
     }
 
-    /// What came and what was lost.
+    /// Counts of received and lost messages.
     pub(crate) fn counts(&self) -> InputCounts {
         self.input_port.counts()
     }
 
-    /// Keeps what has come, for when this process's turn has come.
+    /// Buffers received messages until this process's turn comes.
     pub(crate) fn buffer_ahead(&mut self) -> Result<(), PortError> {
         self.input_port.buffer_ahead()
     }
 
-    /// Whether what goes with this step, and with all that follow, is or will be buffered.
+    /// Whether the messages for this step and all later ones are, or will be, buffered.
     pub(crate) fn covers(&self, step: &Header) -> bool {
         let before = |header: &Header| reaches(step, header);
         self.pairing == Pairing::Latest || self.input_port.buffered().any(before)
     }
 
-    /// Says that what the step has used and left behind is finished.
+    /// Acknowledges the messages that the step has used or passed.
     pub(crate) fn acknowledge(&mut self) {
         self.input_port.acknowledge_but(self.waiting.iter().map(Received::header));
     }
 
-    /// Takes what came, and does not ask the writers to keep it any longer: the messages that it goes with may be lost, and
-    /// none of those to come would be sent.
+    /// Takes received messages, and releases their writers from keeping them: the driving messages that belong to them may be
+    /// lost, and the writers would be blocked for ever.
     pub(crate) fn let_go(&mut self) -> Result<(), PortError> {
         if self.pairing == Pairing::Latest {
             self.find_latest()?;
@@ -160,7 +160,7 @@ impl<R: Reader> SidePort<R> {
         Ok(())
     }
 
-    /// Goes on where an earlier process of the same stage left, with what was buffered meanwhile.
+    /// Continues after an earlier process of the same stage, with the buffered messages.
     pub(crate) fn resume(&mut self, counts: InputCounts) -> Result<(), PortError> {
         self.input_port.buffer_ahead()?;
         self.input_port.resume(counts);
@@ -223,7 +223,7 @@ mod tests {
         }
     }
 
-    /// A side input of the stage `sink`, and the writer that keeps what it has not finished.
+    /// A side input of the stage `sink`, and its writer, which keeps unfinished messages.
     fn joined(pairing: Pairing, delivery: Delivery) -> (SidePort<MemoryReader>, MemoryWriter) {
         let readers = ["viewer", "sink"].map(|stage| {
             let delivery = if stage == "sink" { delivery } else { Delivery::Latest };
@@ -240,7 +240,7 @@ mod tests {
         sequences.for_each(|sequence| _ = writer.send(&frame("left", sequence)).unwrap());
     }
 
-    /// The frame that a step of this frame finds.
+    /// Sequence number of the message that a step of this frame finds.
     fn found(side: &mut SidePort<MemoryReader>, sequence: u64) -> Option<u64> {
         side.find(Some(&frame("left", sequence))).unwrap();
         side.message().map(|message| message.header.sequence)

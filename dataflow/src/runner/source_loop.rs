@@ -1,4 +1,4 @@
-//! The life of a source: it makes messages at its pace, until it has no more, has made enough, or the run ends.
+//! The loop of a source: it makes messages at its pace, until it is exhausted, has made enough, or the run ends.
 
 use super::handover::Watermark;
 use super::output_port::OutputPort;
@@ -17,21 +17,21 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::time::{Duration, Instant};
 
-/// What a source works with, but what it does.
+/// Everything that a source's loop works with, except the source itself.
 pub(crate) struct SourcePlace<T: Transport> {
     pub(crate) side_inputs: Vec<SidePort<T::Reader>>,
     pub(crate) output_port: OutputPort<T::Writer>,
     pub(crate) record: StatusFile,
     pub(crate) stop: Stop,
     epoch: u64,
-    /// Messages that were made, also before it was started anew.
+    /// Number of messages that were made, also before a restart.
     made: u64,
-    /// Number of the next frame, where the source has none of its own.
+    /// Sequence number of the next frame, if the source does not set it.
     pub(crate) sequence: u64,
-    /// It ends after so many messages.
+    /// Number of messages after which the source ends.
     frames: Option<u64>,
     pace: Pace,
-    /// Held as long as the place is taken.
+    /// Lock of the run's folder, held as long as the source runs.
     _lock: Option<File>,
 }
 
@@ -62,7 +62,7 @@ pub(crate) fn run_source<T: Transport>(new: &NewSource<'_>, mut runtime: StageRu
     place.end(|| source.finish())
 }
 
-/// Tells what an earlier process of the same source came to.
+/// Gives the source the progress of an earlier process.
 pub(crate) fn resume<T>(runtime: &mut StageRuntime<T>) {
     runtime.context.resume_at = runtime.record.status.sent;
     runtime.context.counted = counted(&runtime.record.status);
@@ -72,7 +72,8 @@ fn counted(status: &Status) -> BTreeMap<String, u64> {
     used(&status.counters).map(|(name, times)| (name.to_owned(), times)).collect()
 }
 
-/// Waits, where this process replaces another, until that is gone: a device is never opened twice. Whether its turn came.
+/// Waits, if this process replaces another, until that is gone, so that a device is never opened twice. Returns whether its turn
+/// came.
 pub(crate) fn takes_place<T: Transport>(runtime: &mut StageRuntime<T>) -> Result<bool, RunError> {
     let Some(mut successor) = runtime.successor.take() else { return Ok(true) };
     successor.is_ready(&Watermark::default()).map_err(|error| RunError::Refused(error.into()))?;
@@ -85,7 +86,7 @@ pub(crate) fn takes_place<T: Transport>(runtime: &mut StageRuntime<T>) -> Result
 }
 
 impl<T: Transport> SourcePlace<T> {
-    /// Begins the work, where an earlier process of the same source left it.
+    /// Starts work where an earlier process of the same source left off.
     pub(crate) fn begin(
         mut runtime: StageRuntime<T>,
         mut side_inputs: Vec<SidePort<T::Reader>>,
@@ -101,12 +102,12 @@ impl<T: Transport> SourcePlace<T> {
         let StageRuntime { context, wiring, record, pause, lock, .. } = runtime;
         let (stop, made) = (context.stop, context.resume_at);
         let pace = Pace::new(rhythm, stop.clone(), pause);
-        // No earlier start of a source had this number.
+        // Unique number of this start of the source.
         let (epoch, frames) = (unix_ns(), wiring.frames);
         Ok(Self { side_inputs, output_port, record, stop, epoch, made, sequence: made, frames, pace, _lock: lock })
     }
 
-    /// Waits until the next message is due; false if there is to be none.
+    /// Waits until the next message is due; `false` if the source is to end.
     pub(crate) fn is_due(&mut self) -> bool {
         if self.frames.is_some_and(|frames| self.made >= frames) {
             return false;
@@ -115,7 +116,7 @@ impl<T: Transport> SourcePlace<T> {
         !self.stop.requested()
     }
 
-    /// Warns where a source that took another's place, or was started anew, has made nothing: what it has was sent before.
+    /// Warns if a replaced or restarted source has made no message because all of them were sent before.
     fn tell_if_nothing_was_left(&self, stage: &str, resumed_at: u64) {
         let is_due = !self.stop.requested() && self.frames.is_none_or(|frames| self.made < frames);
         if is_due && resumed_at > 0 && self.made == resumed_at {
@@ -126,7 +127,7 @@ impl<T: Transport> SourcePlace<T> {
         }
     }
 
-    /// Waits until what was made is due to be sent, where its stamp tells; false if it is not to be sent any more.
+    /// Waits until the message is due by its stamp; `false` if it is not to be sent any more.
     fn is_due_to_be_sent(&mut self, stamp_ns: Option<u64>) -> bool {
         self.pace.wait_to_send(stamp_ns, &mut self.record, || self.output_port.catch_up());
         !self.stop.requested()
@@ -137,15 +138,15 @@ impl<T: Transport> SourcePlace<T> {
         self.side_inputs.iter_mut().try_for_each(|side| side.find(None))
     }
 
-    /// The header as the frame is sent with it. Frames of a recording keep their numbers, as long as these rise and leave some for
-    /// the frames behind them.
+    /// Sets epoch and sequence number of a frame's header. Frames of a recording keep their numbers, as long as these rise and
+    /// leave room for further frames.
     pub(crate) fn numbered(&self, header: Header) -> Header {
         let own = header.sequence.min(u64::MAX / 2);
         let flags = header.flags & !END_OF_STREAM;
         Header { epoch: self.epoch, sequence: self.sequence.max(own), flags, ..header }
     }
 
-    /// Sends what was written, a list or, where there is none, an image; false if the run ended meanwhile.
+    /// Sends the output: a list, or without one an image; `false` if the run ended meanwhile.
     pub(crate) fn send(&mut self, header: Header, making: Duration, list: Option<&[u8]>) -> Result<bool, PortError> {
         self.record.status.compute.add(making.as_nanos() as u64);
         if is_stopped(self.output_port.send(header, monotonic_ns(), list))? {
@@ -156,7 +157,7 @@ impl<T: Transport> SourcePlace<T> {
         Ok(true)
     }
 
-    /// Keeps what was counted when `frame` was made.
+    /// Records the counts of making the frame `frame`.
     pub(crate) fn keep_counts(&mut self, frame: u64) {
         self.output_port.tally(&mut self.record.status, frame);
         for (slot, side) in self.record.status.inputs.iter_mut().zip(&self.side_inputs) {
@@ -166,14 +167,14 @@ impl<T: Transport> SourcePlace<T> {
         self.side_inputs.iter_mut().for_each(|side| side.acknowledge());
     }
 
-    /// Ends the work by `finish`, and the stream; a source that was stopped at once, or replaced, leaves its readers waiting for
-    /// its successor.
+    /// Ends the work by `finish`, and the stream. A source that was stopped at once, or replaced, sends no end of stream, so that
+    /// its readers wait for its successor.
     pub(crate) fn end(mut self, finish: impl FnOnce() -> Result<(), StageError>) -> Result<(), RunError> {
         let finished = finish();
         drop(self.side_inputs);
         if !self.stop.forced() && !self.stop.leaving() {
             self.output_port.end()?;
-            // Where it could not end its work, there is nothing to be started anew for.
+            // A restart is pointless if it could not end its work.
             self.record.status.set_life(if finished.is_ok() { Life::Ended } else { Life::Gone });
         }
         self.output_port.await_finish();
@@ -183,7 +184,7 @@ impl<T: Transport> SourcePlace<T> {
 }
 
 impl<T: Transport> SourceLoop<'_, T> {
-    /// Makes and sends one message, where there is one already; false if there is none any more.
+    /// Makes and sends a message if there is one; `false` if the source is exhausted.
     fn make_one(&mut self) -> Result<bool, RunError> {
         let place = &mut self.place;
         place.find_side_inputs()?;

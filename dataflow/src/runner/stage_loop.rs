@@ -1,4 +1,4 @@
-//! The life of a stage or a sink: it takes a message, steps, sends what it made, until its input ends or the run does.
+//! The loop of a stage or a sink: it takes a message, steps and sends the output, until its input or the run ends.
 
 use super::side_ports;
 use super::stage_place::{MessageOf, StagePlace, item_of, open_input};
@@ -20,7 +20,7 @@ struct StageLoop<'a, T: Transport> {
 
 /// Runs a stage until its input ends.
 pub(crate) fn run_stage<T: Transport>(new: &NewStage<'_>, mut runtime: StageRuntime<T>) -> Result<(), RunError> {
-    // A successor is not the first, even if it is ready before any message was worked on.
+    // A successor never counts as the first process, even if it is ready before a message was processed.
     runtime.context.resume_at = runtime.record.status.steps.max(u64::from(runtime.successor.is_some()));
     let topic = runtime.wiring.input.take().ok_or_else(|| RunError::Refused("a stage needs an `input`".into()))?;
     let NewStage { side_inputs, input, output, .. } = new;
@@ -50,7 +50,7 @@ pub(crate) fn run_stage<T: Transport>(new: &NewStage<'_>, mut runtime: StageRunt
 }
 
 impl<T: Transport> StageLoop<'_, T> {
-    /// Steps once and sends what came of it; false if the run ended meanwhile.
+    /// Makes one step and sends its output; `false` if the run ended meanwhile.
     fn work_on(&mut self, message: MessageOf<T>) -> Result<bool, RunError> {
         let received_ns = monotonic_ns();
         let header = *message.header();

@@ -1,4 +1,4 @@
-//! The place of a stage in its run: where its messages come from and go to, its record, and whether it is to leave.
+//! Connections and state of a stage in its run: its inputs and output, its record, and whether it is to leave.
 
 use super::handover::{Handover, Watermark};
 use super::input_port::{InputPort, Step};
@@ -15,14 +15,15 @@ use conicflow_messages::Header;
 use std::fs::File;
 use std::time::{Duration, Instant};
 
-/// Where nothing has come for so long, what should have come may be lost with a stage and the one before it.
+/// After this long without a message, a stage acknowledges the buffered messages of its side inputs: the driving messages that
+/// belong to them may be lost, and the run would be blocked.
 const SILENCE_BEFORE_LETTING_GO: Duration = Duration::from_secs(5);
-/// A stage that nobody wakes looks around this often.
+/// Poll period of a stage that is not woken.
 const IDLE_CHECK_PERIOD: Duration = Duration::from_millis(100);
 
 pub(crate) type MessageOf<T> = <<T as Transport>::Reader as Reader>::Message;
 
-/// What a stage works with, but what it does.
+/// Everything that a stage's loop works with, except the stage itself.
 pub(crate) struct StagePlace<T: Transport> {
     input_port: InputPort<T::Reader>,
     pub(crate) side_inputs: Vec<SidePort<T::Reader>>,
@@ -32,20 +33,20 @@ pub(crate) struct StagePlace<T: Transport> {
     topic: Topic,
     peers: Peers,
     handover: Option<Handover>,
-    /// Asked to leave its place: from there on its successor receives everything.
+    /// Set once it was asked to leave: from this position on its successor receives every message.
     leaves_at: Option<Watermark>,
-    /// When a message came, or it was last seen to that others can.
+    /// Time of the last message, or of the last release of kept messages.
     last_came: Instant,
-    /// Held as long as the place is taken.
+    /// Lock of the run's folder, held as long as the stage runs.
     _lock: Option<File>,
 }
 
-/// What the items of a topic are, for a stage that takes or sends lists of any type.
+/// Item type of a topic, for a stage that reads or writes any type.
 pub(crate) fn item_of(topic: &Topic) -> Result<ItemType, RunError> {
     topic.expect_item().cloned().map_err(|error| RunError::Refused(error.into()))
 }
 
-/// Opens what drives a stage.
+/// Opens the driving input of a stage.
 pub(crate) fn open_input<T: Transport>(
     runtime: &StageRuntime<T>,
     item: &ItemType,
@@ -57,7 +58,7 @@ pub(crate) fn open_input<T: Transport>(
 }
 
 impl<T: Transport> StagePlace<T> {
-    /// Begins the work, where an earlier process of the same stage left it.
+    /// Starts work where an earlier process of the same stage left off.
     pub(crate) fn begin(
         mut runtime: StageRuntime<T>,
         topic: Topic,
@@ -66,7 +67,7 @@ impl<T: Transport> StagePlace<T> {
     ) -> Result<Self, PortError> {
         let (own, of_sides) = runtime.record.status.inputs.split_at(1);
         input_port.drive(&runtime.context.stage);
-        // Of stages of another machine nothing is known: they may be at work since long before this run.
+        // The state of stages on another machine is unknown: they may have been at work long before this run.
         if topic.writers.iter().all(|writer| runtime.peers.life(writer).is_some()) {
             input_port.expect_from_first();
         }
@@ -88,7 +89,7 @@ impl<T: Transport> StagePlace<T> {
             last_came: Instant::now(),
             _lock: lock,
         };
-        // That there are inputs is shown also of a stage that dies of its first message.
+        // Writes the record early, so that it shows the inputs even of a stage that dies on its first message.
         place.keep_inputs();
         Ok(place)
     }
@@ -104,20 +105,19 @@ impl<T: Transport> StagePlace<T> {
         }
     }
 
-    /// Looks for the next message, and where there is none waits for one, at most for `patience`. None will come where the run is
-    /// to end.
+    /// Returns the next message; without one it waits at most for `patience`. `Over` if no more will come, or the run is to end.
     pub(crate) fn poll(&mut self, patience: Duration) -> Result<Polled<MessageOf<T>>, PortError> {
         if self.stop.requested() || self.may_leave() {
             return Ok(Polled::Over);
         }
-        // The writers are looked at first: what they sent before they were gone is then sure to be found.
+        // The writers are checked first: all messages that they sent before they were gone are then found.
         let last_call = self.input_port.is_idle() && self.writers_are_gone();
         match self.input_port.take_step()? {
             Step::Message(message) => {
                 self.last_came = Instant::now();
                 return Ok(Polled::Message(message));
             }
-            // It must not come again, should this stage die of the next one.
+            // Acknowledged at once, so that the message does not come again if this stage dies on the next one.
             Step::LeftOut => {
                 self.keep_inputs();
                 self.input_port.acknowledge();
@@ -138,35 +138,35 @@ impl<T: Transport> StagePlace<T> {
         Ok(Polled::Pending)
     }
 
-    /// What the items of its messages are.
+    /// Item type of its input.
     pub(crate) fn input_item(&self) -> &ItemType {
         self.input_port.item()
     }
 
-    /// The topic that drives it.
+    /// Name of its driving topic.
     pub(crate) fn input_topic(&self) -> &str {
         &self.topic.name
     }
 
-    /// Whether it was asked to leave its place, and its successor has received all that it has not worked on.
+    /// Whether it was asked to leave, and has processed all messages that its successor does not receive.
     fn may_leave(&mut self) -> bool {
         let (true, Some(handover)) = (self.stop.leaving(), &self.handover) else { return false };
         let leaves_at = self.leaves_at.get_or_insert_with(|| handover.first());
         self.input_port.has_passed(leaves_at)
     }
 
-    /// Whether all stages that write the input have ended for good, be it without a word.
+    /// Whether all writers of the input have ended for good, with or without an end of stream.
     fn writers_are_gone(&self) -> bool {
         let is_gone = |writer: &String| self.input_port.has_ended(writer) || self.peers.is_over(writer);
         !self.topic.writers.is_empty() && self.topic.writers.iter().all(is_gone)
     }
 
-    /// Finds what goes with a step in the side inputs.
+    /// Finds the messages of the side inputs that belong to a step.
     pub(crate) fn find_side_inputs(&mut self, step: &Header) -> Result<(), PortError> {
         self.side_inputs.iter_mut().try_for_each(|side| side.find(Some(step)))
     }
 
-    /// Keeps how long a step took, and the way of its message to here.
+    /// Records the time of a step, and the hop and latency of its message.
     pub(crate) fn keep_times(&mut self, header: &Header, received_ns: u64, step: Duration) {
         let status = &mut *self.record.status;
         status.compute.add(step.as_nanos() as u64);
@@ -177,9 +177,8 @@ impl<T: Transport> StagePlace<T> {
         }
     }
 
-    /// Counts a step that met `frame`, keeps what it and its inputs count, and says that its messages are finished. The record
-    /// comes first: it says in one piece what was worked on and what was sent, so that the next process does the rest again under
-    /// the same number.
+    /// Counts a step on the frame `frame`, records the counts, and acknowledges its messages. The record is written first: it has
+    /// in one piece what was processed and what was sent, so that a restarted process repeats the rest under the same numbers.
     pub(crate) fn keep_counts(&mut self, frame: u64) {
         self.last_came = Instant::now();
         self.output_port.tally(&mut self.record.status, frame);
@@ -189,7 +188,7 @@ impl<T: Transport> StagePlace<T> {
         self.input_port.acknowledge();
     }
 
-    /// Keeps what its inputs count.
+    /// Records the counts of the inputs.
     fn keep_inputs(&mut self) {
         let status = &mut *self.record.status;
         let counts = std::iter::once(self.input_port.counts()).chain(self.side_inputs.iter().map(|side| side.counts()));
@@ -197,8 +196,8 @@ impl<T: Transport> StagePlace<T> {
         self.record.write();
     }
 
-    /// Ends the work by `finish`, and the stream; a stage that was stopped at once leaves its readers waiting for its
-    /// successor.
+    /// Ends the work by `finish`, and the stream. A stage that was stopped at once sends no end of stream, so that its readers
+    /// wait for its successor.
     pub(crate) fn end(mut self, finish: impl FnOnce() -> Result<(), StageError>) -> Result<(), RunError> {
         let frame = self.record.status.steps;
         let left =
@@ -222,7 +221,7 @@ impl<T: Transport> StagePlace<T> {
         Ok(())
     }
 
-    /// What is told when the end of its work fails. There is nothing to be started anew for, but where a successor goes on.
+    /// Error of a failed `finish`. A restart is pointless, unless a successor goes on.
     fn unfinished(&mut self, left: bool, error: StageError) -> RunError {
         if left {
             return RunError::Failed { frame: self.record.status.steps, error };

@@ -1,4 +1,4 @@
-//! A process that takes the place of another.
+//! Tests of a process that replaces another.
 
 use super::RunError;
 use super::handover::Watermark;

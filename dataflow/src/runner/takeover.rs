@@ -1,5 +1,5 @@
-//! How a stage takes the place of another process of the same stage: made ready beside it, it buffers what each writer sends,
-//! with all that goes with a message in its side inputs, and begins when the other is gone.
+//! Replacement of a running process by another one of the same stage. The successor is created beside it, buffers the messages of
+//! each writer with those of its side inputs that belong to them, and begins when the predecessor is gone.
 
 use super::handover::Successor;
 use super::side_ports::{Inputs, SidePort};
@@ -10,8 +10,8 @@ use crate::stage::Context;
 use conicflow_messages::Nothing;
 use std::time::Instant;
 
-/// Makes the stage ready while the one that it replaces is at work, so that what cannot begin never takes a place. A sink
-/// is made on trial, and anew in its place: two that are at work on one file would spoil it.
+/// Creates the stage while its predecessor works, so that a stage that cannot start never takes its place. A sink is dropped and
+/// created again in its place: two sinks that write one file would damage it.
 pub(crate) fn made_early<'a>(
     new: &NewStage<'a>,
     context: &Context,
@@ -20,8 +20,8 @@ pub(crate) fn made_early<'a>(
     Ok(Some(stage).filter(|_| !new.output.is::<Nothing>()))
 }
 
-/// Where this process replaces another, buffers a message of each writer, says so, and waits until that is gone. The inputs from
-/// there on; `None`: it is not wanted any more.
+/// If this process is a successor: buffers a message of each writer, reports that it is ready, and waits until the predecessor is
+/// gone. Returns the inputs to continue with; `None` if the successor is no longer wanted.
 pub(crate) fn take_place<T: Transport>(
     mut inputs: Inputs<T::Reader>,
     open: impl Fn(&StageRuntime<T>) -> Result<Inputs<T::Reader>, RunError>,
@@ -41,15 +41,16 @@ pub(crate) fn take_place<T: Transport>(
     }
     runtime.enter();
     match successor.handover.last() {
-        // The other was killed: this is a stage that is started anew, with what the writers keep for it. It has left messages to
-        // that one, and opens its inputs again.
+        // The predecessor was killed, so this process acts as a restarted stage, for which the writers keep messages. It has
+        // dropped messages that the predecessor was to process, and therefore opens its inputs again.
         None if input_port.is_kept() => return open(runtime).map(Some),
         last => input_port.begin_after(last.unwrap_or_default()),
     }
     Ok(Some(inputs))
 }
 
-/// Waits until a message of each writer is buffered, and what goes with it; false if that is not wanted any more.
+/// Waits until a message of each writer is buffered, with those of the side inputs that belong to it; `false` if the successor is
+/// no longer wanted.
 fn buffers_all<T: Transport>(
     successor: &mut Successor,
     (side_inputs, input_port): &mut Inputs<T::Reader>,
@@ -60,7 +61,7 @@ fn buffers_all<T: Transport>(
     let lossless = |topic: &Topic| topic.delivery_to(&runtime.context.stage) == Delivery::Lossless;
     let is_over = |writer: &String| runtime.peers.is_over(writer);
     loop {
-        // The side inputs last: what a message was made of came before it.
+        // The side inputs last, as their messages for a driving message were sent before it.
         input_port.buffer_newest()?;
         side_inputs.iter_mut().try_for_each(|side| side.buffer_ahead())?;
         let late = Instant::now() > deadline;

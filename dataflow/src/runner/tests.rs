@@ -1,4 +1,4 @@
-//! Tests of the two loops, over the in-memory twin of shared memory.
+//! Tests of the two loops, over the in-memory equivalent of shared memory.
 
 use super::alone::{Owned, collect, pass, step};
 use super::output_port::{EndAnnouncement, OutputPort};
@@ -33,7 +33,7 @@ fn ball(radius: f64) -> Object {
     Object { kind: ObjectKind::Sphere.code(), radius, ..Object::default() }
 }
 
-/// Passes on the objects that are larger than 0.1 m; fails at objects without a size.
+/// Passes on objects larger than 0.1 m; fails on objects without a size.
 struct Large;
 
 impl Stage for Large {
@@ -57,7 +57,7 @@ impl Stage for Large {
     }
 }
 
-/// Says by the radius of an object which of the messages it gets: 1 for the newest, 2 for each.
+/// Shows its delivery in the radius of its objects: 1 for the newest message, 2 for each.
 struct Delivered(Option<Delivery>);
 
 impl Stage for Delivered {
@@ -77,7 +77,7 @@ impl Stage for Delivered {
     }
 }
 
-/// Makes images whose pixels all hold the number of the frame; it has three.
+/// Makes three images whose pixels all have the number of the frame.
 struct Counting(u16);
 
 impl Source for Counting {
@@ -140,7 +140,7 @@ fn a_stage_knows_whether_it_gets_the_newest_message_or_each() {
     assert_eq!([Some(Delivery::Latest), Some(Delivery::Lossless), None].map(radius), [1.0, 2.0, 2.0]);
 }
 
-/// A writer that is about to end and has sent three messages, and the memory and topic that its one reader, of this name, joins.
+/// A writer that has sent three messages and is about to end, with the memory and the topic for its one reader, called `reader`.
 fn ending(reader: &str, peers: Peers) -> (InMemory, Topic, OutputPort<impl Writer>) {
     let memory = InMemory::default();
     let readers = vec![TopicReader { stage: reader.into(), delivery: Delivery::Lossless, queue: 4 }];
@@ -173,7 +173,7 @@ fn what_was_sent_is_counted_in_messages_and_in_bytes_of_their_headers_and_items(
     assert_eq!(sent(&objects[1..], true), (6, message(2) + message(0) + message(1)));
 }
 
-/// How many messages there were, as the end says that this reader is told.
+/// Number of messages according to the end that this reader receives.
 fn until_the_end(mut reader: MemoryReader) -> u64 {
     let deadline = Instant::now() + Duration::from_secs(20);
     while Instant::now() < deadline {
@@ -267,7 +267,7 @@ fn a_source_numbers_its_frames_and_ends() {
     assert_eq!(collect::<Counting>(NoConfig::default(), context("counting"), 2).unwrap().len(), 2);
 }
 
-/// A sink of images of four pixels, which cannot end its work before it has seen two.
+/// A sink for images of four pixels, which fails to end its work before it has seen two.
 #[derive(Default)]
 struct Quiet {
     seen: u32,
@@ -294,7 +294,7 @@ impl Stage for Quiet {
     }
 }
 
-/// A test of a stage would pass for the wrong reason: in a pipeline no reader takes such messages.
+/// A test of a stage with such messages would pass for the wrong reason: in a pipeline no reader takes them.
 #[test]
 fn who_tests_with_messages_that_no_reader_takes_is_told() {
     let told = |frames: &[_]| pass::<Quiet>(NoConfig::default(), context("quiet"), frames).map_err(|e| e.to_string());
@@ -305,7 +305,7 @@ fn who_tests_with_messages_that_no_reader_takes_is_told() {
     assert!(twice.contains("`sequence`"), "{twice}");
 }
 
-/// Writes an image of its own size into a header that it makes anew.
+/// Makes its header anew, and an image of its own size.
 struct Careless;
 
 impl Stage for Careless {
@@ -343,7 +343,7 @@ fn a_failure_at_the_end_is_that_of_no_frame() {
     assert_eq!(error.to_string(), "too little was seen");
 }
 
-/// Plays objects back that were recorded, with the numbers of their frames.
+/// Replays recorded objects with the numbers of their frames.
 struct Replay(std::vec::IntoIter<(u64, f64)>);
 
 impl Source for Replay {

@@ -1,4 +1,5 @@
-//! Stages and sources without their types: they take and make bytes, so that each loop is built once and not anew for each node.
+//! Stages and sources without their types: they take and return bytes, so that each loop is compiled only once, not for each
+//! node.
 
 use super::RunError;
 use super::pace::Rhythm;
@@ -10,27 +11,26 @@ use conicflow_messages::{END_OF_STREAM, Header, Item, Message, Nothing};
 use serde::de::DeserializeOwned;
 use serde_json::Value as Json;
 
-/// A stage that is still to be made ready.
+/// A stage that is still to be created.
 pub(crate) type NewStage<'a> = New<'a, dyn AnyStage + 'a>;
-/// A source that is still to be made ready.
+/// A source that is still to be created.
 pub(crate) type NewSource<'a> = New<'a, dyn AnySource + 'a>;
 
-/// A stage or source that is still to be made ready: its inputs and its output, by which it is joined to others, and how it is
-/// made.
+/// A stage or source that is still to be created: the types of its inputs and output, and the function that creates it.
 pub(crate) struct New<'a, S: ?Sized> {
     pub(crate) side_inputs: &'static [SideInput],
-    /// What drives it; [`Nothing`] of a source.
+    /// Type of its driving input; [`Nothing`] for a source.
     pub(crate) input: ItemType,
-    /// What it makes; [`Nothing`] of a sink.
+    /// Type of its output; [`Nothing`] for a sink.
     pub(crate) output: ItemType,
     make: Box<Make<'a, S>>,
 }
 
 type Make<'a, S> = dyn Fn(&Context) -> Result<Box<S>, StageError> + 'a;
 
-/// A stage that is ready.
+/// A stage of any type.
 pub(crate) trait AnyStage {
-    /// Calls [`Stage::step`] with a message of this header and these bytes.
+    /// Calls [`Stage::step`] with a message that has this header and these bytes.
     fn step(
         &mut self,
         message: (&Header, &[u8]),
@@ -42,7 +42,7 @@ pub(crate) trait AnyStage {
     fn finish(&mut self) -> Result<(), StageError>;
 }
 
-/// A source that is ready.
+/// A source of any type.
 pub(crate) trait AnySource {
     fn rhythm(&self) -> Rhythm;
 
@@ -56,15 +56,15 @@ pub(crate) trait AnySource {
     fn finish(&mut self) -> Result<(), StageError>;
 }
 
-/// What a step has made.
+/// Output of a step.
 pub(crate) struct Made<'a> {
     pub(crate) header: Header,
-    /// The bytes of a list; `None`: an image, which is where the next stage reads it.
+    /// The bytes of a list; `None`: an image, which was written in place.
     pub(crate) list: Option<&'a [u8]>,
 }
 
 impl<S: ?Sized> New<'_, S> {
-    /// Makes it ready.
+    /// Creates it.
     pub(crate) fn make(&self, context: &Context) -> Result<Box<S>, RunError> {
         (self.make)(context).map_err(RunError::Refused)
     }
@@ -96,14 +96,15 @@ impl<'a> NewSource<'a> {
     }
 }
 
-/// Reads parameters again and again; refuses now, before a port is opened or a place taken, those that cannot be read.
+/// Returns a function that parses the parameters, which may be called repeatedly. Parses them once now, so that invalid ones are
+/// refused before a port is opened or a place taken.
 fn checked<C: DeserializeOwned>(parameters: Json) -> Result<impl Fn() -> serde_json::Result<C>, RunError> {
     let read = move || serde_json::from_value(parameters.clone());
     read().map_err(|error| RunError::Refused(error.into()))?;
     Ok(read)
 }
 
-/// A stage or source with the list that it made last; that is empty after an image.
+/// A stage or source with the list of its last step, which is empty after an image.
 struct Typed<S, T> {
     inner: S,
     list: Vec<T>,
@@ -150,14 +151,14 @@ impl<S: Source> AnySource for Typed<S, S::Output> {
     }
 }
 
-/// A header that a stage has made of that of its input. Which frame that is, and the way that it came, no stage changes: by these
-/// the readers behind it know what they have missed.
+/// Restores those fields of an output header that a stage may not change: the identity of the frame and the hops, from which
+/// readers know what they have missed.
 pub(crate) fn of_same_frame(made: Header, frame: &Header) -> Header {
     let Header { epoch, sequence, number, hop_count, hops, .. } = *frame;
     Header { epoch, sequence, number, hop_count, hops, flags: made.flags & !END_OF_STREAM, ..made }
 }
 
-/// The items that lie in these bytes; where there are none, no matter where.
+/// Casts bytes to items; an empty slice may be unaligned.
 fn items<T: Item>(bytes: &[u8]) -> Result<&[T], StageError> {
     if bytes.is_empty() {
         return Ok(&[]);

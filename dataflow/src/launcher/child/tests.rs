@@ -1,4 +1,4 @@
-//! What follows from the end of a process, and from one that does not join or does not answer.
+//! Supervision of a process that ends, does not join, or hangs.
 
 use super::super::summary::tests::stage;
 use super::super::trial_run::{TrialRun, change_record, logged};
@@ -17,22 +17,22 @@ fn supervised(planned: PlannedStage, state: State) -> Supervised {
     Supervised { planned, state, watchdog, deaths, outsider, is_hinted, at_work, turns, is_last, started, is_late }
 }
 
-/// A program that gives back what it is given, and so ends when nobody gives it anything any more.
+/// A program that echoes its input, and ends at the end of its input.
 pub fn echo() -> Child {
-    // Where a script started the tests in the background, its processes would ignore SIGINT; this one no longer does once it
-    // answers.
+    // A script that starts the tests in the background makes its processes ignore SIGINT; once this one answers, it no longer
+    // does.
     let hearing = ["--default-signal=INT", "cat"];
     let mut child = Command::new("env").args(hearing).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
     assert!(gives_back(&mut child));
     child
 }
 
-/// A stage with a process that has no part in the run.
+/// A stage with a process that has not joined the run.
 pub fn at_work(planned: PlannedStage) -> Supervised {
     supervised(planned, State::Running(echo().into()))
 }
 
-/// Whether the process of a stage [`at_work`] gives back what it is given.
+/// Whether the process of a stage [`at_work`] echoes its input.
 pub fn answers(stage: &mut Supervised) -> bool {
     let State::Running(Guarded { child, .. }) = &mut stage.state else { return false };
     gives_back(child)
@@ -49,7 +49,7 @@ pub fn over(planned: PlannedStage) -> Supervised {
     supervised(planned, State::Done)
 }
 
-/// A stage that reads what `writer` makes, and a process of it that has ended with this exit code.
+/// A stage that reads from `writer`, whose process has ended with this exit code.
 fn ended(exit: u8, delivery: Delivery) -> (Supervised, u32) {
     let mut planned = stage::<Object>();
     let readers = vec![TopicReader { stage: planned.name.clone(), delivery, queue: 4 }];
@@ -344,8 +344,8 @@ fn how_a_process_ended_is_told() {
     assert!(told[2].contains("shared memory is full"), "{}", told[2]);
 }
 
-/// How often a stage with this `restart` comes back whose processes all end with `exit` when they have lived for `lived_s`, and
-/// what it tells at last; `None`: it does so for ever.
+/// Number of restarts of a stage with this `restart` whose processes all end with `exit` after `lived_s` seconds, and its last
+/// log message; `None`: it is always restarted.
 fn comes_back(exit: u8, restart: Restart, lived_s: u64) -> Option<(usize, String)> {
     let mut run = TrialRun::new();
     let mut stage = supervised(stage::<Object>(), State::Done);

@@ -18,7 +18,7 @@ const QUEUE_SAME_FRAME: usize = 8;
 const QUEUE_LOSSLESS: usize = 4;
 pub const MAX_QUEUE: i64 = 64;
 
-/// What the file says of an input.
+/// An input as the file gives it.
 #[derive(Default)]
 struct SaidInput {
     topic: String,
@@ -29,7 +29,7 @@ struct SaidInput {
 }
 
 impl Reader<'_> {
-    /// An input in its short or its long form; `pick` and `delivery` set what is not said.
+    /// Reads an input in its short or its long form; `pairing` and `delivery` determine the defaults.
     pub(super) fn input(&mut self, value: &Value, pairing: Pairing, delivery: Delivery) -> Option<Input> {
         let place = value.place.clone();
         let said = match &value.content {
@@ -47,7 +47,7 @@ impl Reader<'_> {
             (Delivery::Latest, Pairing::SameFrame) => QUEUE_SAME_FRAME,
             (Delivery::Latest, Pairing::Latest) => QUEUE_LATEST,
         };
-        // Two places keep the last frame beside the message that ends the stream.
+        // At least two, so that the end of the stream does not displace the last frame.
         let queue = said.queue.unwrap_or(default_queue).max(2);
         let SaidInput { topic, kind, compression, .. } = said;
         Some(Input { topic, delivery, queue, kind, compression, place })
@@ -91,7 +91,7 @@ impl Reader<'_> {
         inputs
     }
 
-    /// Which message of a side input a node wants; a fault if it has no such input.
+    /// Returns which message of a side input a node reads; reports an unknown side input.
     fn pick_of(&mut self, entry: &Entry, program: &Program) -> Pairing {
         let Program::Node(node) = program else { return Pairing::Latest };
         if let Some(side) = node.side_inputs().iter().find(|side| side.name == entry.key) {

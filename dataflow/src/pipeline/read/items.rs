@@ -1,4 +1,4 @@
-//! The item types that a pipeline file describes: what programs of one's own send each other.
+//! The item types that a pipeline file describes, for messages between programs.
 
 use super::Reader;
 use crate::item_type::{BUILT_IN, ItemType};
@@ -11,10 +11,10 @@ pub const ITEM_KEYS: [&str; 3] = ["type", "fields", "usual_length"];
 const MAX_NAME: usize = 31;
 const MAX_TYPE_NAME: usize = 127;
 pub const USUAL_LENGTH: RangeInclusive<i64> = 1..=1 << 24;
-/// More is no item list, but an image or a file.
+/// Maximum usual size of a list in bytes; more would be an image or a file.
 const MAX_USUAL_BYTES: usize = 256 << 20;
 const EXAMPLE: &str = "fields = { position = \"f64[3]\", width = \"f64\", id = \"u64\" }";
-/// What the names of the built-in types begin with.
+/// Prefix of the built-in types' names.
 const OWN: &str = "conicflow.";
 
 impl Reader<'_> {

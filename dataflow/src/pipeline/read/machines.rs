@@ -1,4 +1,4 @@
-//! The machines of a pipeline file, and how they reach each other.
+//! The machines of a pipeline file, and the connections between them.
 
 use super::{MAX_STAGE_NAME, Reader};
 use crate::network::{NO_NETWORK, NO_NETWORK_HINT};
@@ -26,7 +26,7 @@ impl Reader<'_> {
         machines
     }
 
-    /// What a machine with a key sends, one without does not take, and the other way round.
+    /// Checks that all machines have a key, or none has: a machine with a key and one without refuse each other's messages.
     fn check_keys(&mut self, machines: &BTreeMap<String, Machine>, places: &[(String, SourceSpan)]) {
         let Some((with, _)) = machines.iter().find(|(_, machine)| machine.key.is_some()) else { return };
         let without = |name: &str| machines.get(name).is_some_and(|machine| machine.key.is_none());

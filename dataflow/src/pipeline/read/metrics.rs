@@ -1,4 +1,4 @@
-//! Where metrics are offered: an address, or a table with a token beside it.
+//! Metrics settings: an address, or a table with address and token.
 
 use super::Reader;
 use crate::pipeline::diagnostic::Diagnostic;
@@ -36,7 +36,7 @@ impl Reader<'_> {
         Some(Metrics { listen: self.address(&listen?)?, token })
     }
 
-    /// An address of this machine with a port.
+    /// Reads an address of this machine with a port.
     fn address(&mut self, entry: &Entry) -> Option<SocketAddr> {
         let text = self.string(entry)?;
         let address = text.parse().ok();

@@ -1,4 +1,4 @@
-//! The tree of a pipeline file into stages: keys, types, nodes and their parameters.
+//! Converts the tree of a pipeline file into stages: keys, types, nodes and their parameters.
 
 pub(super) mod inputs;
 pub(super) mod items;
@@ -15,13 +15,13 @@ use std::ops::RangeInclusive;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Longest name of a pipeline, a stage or a machine, in bytes: names travel in headers of fixed size, as far as the terminating
-/// zero.
+/// Maximum length of the name of a pipeline, a stage or a machine, in bytes: headers have fields of fixed size for names, with a
+/// terminating zero.
 pub const MAX_STAGE_NAME: usize = 31;
 const MAX_TOPIC_NAME: usize = 63;
 pub const PIPELINE_KEYS: [&str; 6] = ["name", "machine", "item", "stage", "metrics", "experiment"];
 
-/// Reads a document; what cannot be read is reported and left out.
+/// Reads a document; invalid entries are reported and left out.
 pub(super) fn pipeline(
     mut document: Table,
     source: &Arc<SourceText>,
@@ -45,19 +45,19 @@ pub(super) fn pipeline(
     Pipeline { name, base: context.base.to_owned(), machines, items, stages, metrics, experiment, source }
 }
 
-/// Where a file is read.
+/// Context in which a file is read.
 pub(super) struct ReadContext<'a> {
     /// Folder of the file.
     pub base: &'a Path,
-    /// The machine, where that is known.
+    /// The machine, where known.
     pub machine: Option<&'a str>,
-    /// What stages can run, and how they reach other machines.
+    /// Nodes and network part that its stages may use.
     pub registry: &'a Registry,
 }
 
 struct Reader<'a> {
     context: &'a ReadContext<'a>,
-    /// What is read now belongs to another machine: whether its files are there shows there.
+    /// Whether the current table belongs to another machine, where alone its files can be checked.
     elsewhere: bool,
     /// The item types that the file describes.
     items: Vec<ItemType>,
@@ -65,7 +65,7 @@ struct Reader<'a> {
 }
 
 impl Reader<'_> {
-    /// Notes to which machine belongs what is read next.
+    /// Sets the machine to which the next table belongs.
     fn go_to(&mut self, machine: Option<&str>) {
         self.elsewhere = self.context.machine.is_some() && self.context.machine != machine;
     }
@@ -112,7 +112,7 @@ impl Reader<'_> {
         None
     }
 
-    /// A time in seconds within a range; `what_for` is the hint.
+    /// Reads a time in seconds within a range; `what_for` is the hint.
     fn seconds(&mut self, entry: &Entry, range: RangeInclusive<f64>, what_for: &str) -> Option<f64> {
         let seconds = match entry.value.content {
             Content::Integer(seconds) => seconds as f64,
@@ -127,7 +127,7 @@ impl Reader<'_> {
         None
     }
 
-    /// The name of an item type.
+    /// Reads the name of an item type.
     fn kind(&mut self, entry: &Entry) -> Option<String> {
         let kind = self.string(entry)?;
         let names: Vec<_> = BUILT_IN.iter().chain(&self.items).map(|item| item.name().to_owned()).collect();
@@ -139,7 +139,7 @@ impl Reader<'_> {
         Some(kind)
     }
 
-    /// The meaning of one of a few words.
+    /// Reads one of a few words, and returns its meaning.
     fn word<T: Copy, const N: usize>(&mut self, entry: &Entry, words: [(&str, T); N]) -> Option<T> {
         let word = self.string(entry)?;
         let meaning = words.iter().find(|(known, _)| *known == word).map(|(_, meaning)| *meaning);
@@ -159,7 +159,7 @@ impl Reader<'_> {
         None
     }
 
-    /// A name that can stand in paths, ports and JSON.
+    /// Checks a name, which has to be usable in paths, ports and JSON.
     fn check_name(&mut self, name: &str, place: &SourceSpan, what: &str, longest: usize, allowed: &str) {
         let good = |c: char| c.is_ascii_alphanumeric() || allowed.contains(c);
         if name.is_empty() || name.len() > longest || !name.chars().all(good) {
@@ -188,7 +188,7 @@ impl Reader<'_> {
     }
 }
 
-/// Whether the table has an entry that most likely means `key`.
+/// Whether the table has an entry that is probably a misspelling of `key`.
 fn is_misspelt(key: &str, table: &Table) -> bool {
     table.0.iter().any(|entry| closest(&entry.key, [key]).is_some())
 }

@@ -1,4 +1,4 @@
-//! The stages of a pipeline file: what each runs, what happens when it dies, and its parameters.
+//! The stages of a pipeline file: what they run, when they are restarted, and their parameters.
 
 use super::{MAX_STAGE_NAME, MAX_TOPIC_NAME, Reader};
 use crate::log::LOG;
@@ -16,14 +16,15 @@ use std::path::{Path, PathBuf};
 pub const STAGE_KEYS: [&str; 8] = ["node", "program", "input", "inputs", "output", "machine", "restart", "env"];
 pub const RESTARTS: [(&str, Restart); 3] =
     [("never", Restart::Never), ("on_failure", Restart::OnFailure), ("always", Restart::Always)];
-/// Each is a process: on two cores 100 stages start, see a frame and end in 5 s, 400 in 42 s; 500 that run for 20 s take 147 s.
+/// Each stage is a process: on two cores 100 stages start, see a frame and end in 5 s, 400 in 42 s; 500 that run for 20 s take
+/// 147 s.
 const MAX_STAGES: usize = 500;
-/// What the names of the variables begin with by which a stage finds its place in a run.
+/// Prefix of the environment variables that tie a stage to its run.
 const OWN_VARIABLES: &str = "CONICFLOW_";
-/// Stages that wait give a sign of life ten times a second.
+/// Allowed `hang_s`. The minimum is well above the heartbeat's period of 0.1 s.
 pub const HANG_S: RangeInclusive<f64> = 1.0..=86_400.0;
-/// So long after its start a program has to have joined a lossless topic, unless the file says otherwise: nothing goes on there
-/// without it. Python loads a neural network within a minute on the computers of robots.
+/// Default time after its start within which a program has to join a lossless topic, which is blocked without it. Python loads a
+/// neural network within a minute on the computers of robots.
 pub const TIME_TO_JOIN_S: f64 = 120.0;
 pub const JOIN_S: RangeInclusive<f64> = 1.0..=86_400.0;
 const OUTPUT_EXAMPLE: &str = "output = { topic = \"found\", kind = \"objects\" }";
@@ -81,8 +82,7 @@ impl Reader<'_> {
         })
     }
 
-    /// When a stage is started anew, in its short or its long form, after what time without a sign of life it counts as dead,
-    /// and within what time it takes part.
+    /// Reads `restart` in its short or its long form. Returns when a stage is restarted, `hang_s`, and `join_s`.
     fn restart(&mut self, entry: Entry) -> (Restart, Option<f64>, Option<f64>) {
         let Content::Table(mut table) = entry.value.content else {
             return (self.word(&entry, RESTARTS).unwrap_or_default(), None, None);
@@ -152,7 +152,7 @@ impl Reader<'_> {
         Program::Command(command)
     }
 
-    /// An output in its short or its long form: the topic, and what the stage writes there.
+    /// Reads an output in its short or its long form. Returns the topic, and the kind.
     fn output(&mut self, entry: Entry) -> (Option<String>, Option<String>) {
         if !matches!(entry.value.content, Content::Table(_)) {
             return (self.topic_name(&entry), None);
@@ -179,7 +179,7 @@ impl Reader<'_> {
         table.0.iter().filter_map(|entry| self.variable(entry)).collect()
     }
 
-    /// A variable of a stage's environment that can be one, and that does not take its place in the run from it.
+    /// Reads an environment variable of a stage; its name has to be valid, and must not be one that ties the stage to its run.
     fn variable(&mut self, entry: &Entry) -> Option<(String, String)> {
         let (name, value) = (&entry.key, self.string(entry)?);
         let (what, hint) = if name.is_empty() || name.contains(['=', '\0']) {
@@ -199,7 +199,8 @@ impl Reader<'_> {
         None
     }
 
-    /// Checks the keys that are left: those of the node; what it makes of their values only where it runs.
+    /// Checks the remaining keys, which are those of the node. The node itself checks their values only on the machine where it
+    /// runs.
     fn parameters(&mut self, table: &Table, program: &Program, stage: &str, place: &SourceSpan, env: &Variables) {
         let Program::Node(node) = program else { return };
         let found = schema::check_table(table, &node.schema(), &STAGE_KEYS, &format!("stage `{stage}`"));
@@ -228,7 +229,7 @@ impl Reader<'_> {
     }
 }
 
-/// A program by a path, relative to the pipeline file, or by a name in PATH.
+/// Finds a program by a path relative to the pipeline file, or by a name in PATH.
 fn find_program(base: &Path, program: &str) -> Option<PathBuf> {
     if program.contains('/') {
         let path = base.join(program);

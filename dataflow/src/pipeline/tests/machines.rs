@@ -1,4 +1,4 @@
-//! Machines, what crosses them, and where a run is reached from outside.
+//! Machines, the edges between them, and a run's endpoints for the outside.
 
 use super::*;
 

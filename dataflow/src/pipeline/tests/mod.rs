@@ -1,4 +1,4 @@
-//! Pipelines of nodes that are made up: what is read of a file, and what is wrong with one.
+//! Pipelines of made-up nodes: how files are read, and which faults are reported.
 
 mod machines;
 mod stages;
@@ -90,7 +90,7 @@ fn network() -> Network {
     Network { check, warnings, listen_endpoints: |_| Ok(Vec::new()), carrier }
 }
 
-/// The folder of this package stands for that of the file.
+/// The folder of this package serves as that of the file.
 fn read_on(machine: Option<&str>, text: &str, overrides: &[&str]) -> Result<(Pipeline, Report), Report> {
     let source = SourceText { name: "test.toml".to_owned(), text: text.to_owned() };
     let overrides: Vec<_> = overrides.iter().map(|text| (*text).to_owned()).collect();
@@ -104,7 +104,7 @@ fn report_of(text: &str, overrides: &[&str]) -> Report {
     }
 }
 
-/// The first lines of what is told, without their places.
+/// The first lines of a report's faults, without positions.
 fn first_lines(report: &Report) -> Vec<String> {
     let text = report.to_string();
     let lines = text.lines().filter(|line| line.starts_with("error: ") || line.starts_with("warning: "));
@@ -115,7 +115,7 @@ fn first_lines(report: &Report) -> Vec<String> {
     lines.map(without_place).collect()
 }
 
-/// What is told of a pipeline with these stages.
+/// Faults of a pipeline with these stages.
 fn told(stages: &str) -> Vec<String> {
     first_lines(&report_of(&format!("name = 'test'\n{stages}"), &[]))
 }
@@ -136,12 +136,12 @@ fn sound() -> String {
     [CAMERA, DETECTOR, PRINTER].concat()
 }
 
-/// A program of one's own.
+/// A stage that runs a program.
 fn program(name: &str, keys: &str) -> String {
     format!("[stage.{name}]\nprogram = ['sh']\n{keys}\n")
 }
 
-/// The sound pipeline with further lines for its camera.
+/// The valid pipeline with further lines for its camera.
 fn with_camera(lines: &str) -> String {
     [CAMERA, lines, "\n", DETECTOR, PRINTER].concat()
 }

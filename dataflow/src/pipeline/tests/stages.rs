@@ -1,4 +1,4 @@
-//! Stages, the topics between them, and the kinds of messages that these carry.
+//! Stages, the topics between them, and the kinds of their messages.
 
 use super::*;
 

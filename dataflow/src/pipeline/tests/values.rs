@@ -1,4 +1,4 @@
-//! Values: of which type and in which range they are, what sets them, and how faults in them are told.
+//! Values: their types and ranges, overrides, and the reports of their faults.
 
 use super::*;
 

@@ -1,9 +1,10 @@
-//! What the lossless readers of a topic are done with, in memory that outlives them.
+//! Acknowledgements of a topic's lossless readers, in memory that outlives them.
 //!
-//! A table for each topic, in a file of the run's folder: for each reader and writer the number of the first message that the
-//! reader has not finished, and how often it has begun which one. Each is one word, written at once, so that no kill leaves half
-//! of it. By the first the writer knows what it still has to keep, and a reader that was started anew where to go on; by
-//! the second that one knows which message its predecessors died of.
+//! Each topic has a table, in a file of the run's folder. For each pair of reader and writer it has the number of the first
+//! message that the reader has not finished, and the number of the message begun last with a count of its beginnings. Each is one
+//! word, written atomically, so that a kill leaves no partial value. From the first word the writer knows which messages it still
+//! has to keep, and a restarted reader where to continue. From the second a restarted reader knows on which message its
+//! predecessors died.
 
 use crate::ports::Topic;
 use conicflow_messages::Text;
@@ -14,12 +15,12 @@ use std::path::{Path, PathBuf};
 use std::ptr::NonNull;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// What the names of the tables' files end with.
+/// Suffix of the tables' files.
 pub(crate) const ENDING: &str = "acks";
 
-/// Words of a pair of reader and writer.
+/// Number of words for each pair of reader and writer.
 const WORDS: usize = 2;
-/// The second word counts beginnings in its lowest bits, up to this.
+/// Maximum count of beginnings, which the second word has in its lowest bits.
 const MOST_BEGINNINGS: u64 = 15;
 
 /// The table of a topic, shared with all processes that read or write it.
@@ -29,25 +30,25 @@ pub(super) struct Acknowledgements {
     writers: Vec<Text<32>>,
 }
 
-// SAFETY: what it points to are atomic words, which stay where they are as long as it lives.
+// SAFETY: the pointer refers to atomic words, which stay in place during the lifetime of this value.
 unsafe impl Send for Acknowledgements {}
 // SAFETY: as above.
 unsafe impl Sync for Acknowledgements {}
 
 impl Acknowledgements {
-    /// Makes the table of a topic in the folder of a run, before anybody reads or writes the topic.
+    /// Creates the table of a topic in the folder of a run, before any process reads or writes the topic.
     ///
     /// # Errors
     /// The file cannot be written.
     pub(super) fn create(folder: &Path, topic: &Topic) -> io::Result<()> {
-        // Zeros rather than a hole: a page that finds no room on the disk later would end a stage.
+        // Zeros rather than a hole: a page that finds no room on the disk later would kill a stage.
         fs::write(path(folder, topic), vec![0; length(topic) * size_of::<AtomicU64>()])
     }
 
-    /// Opens the table that the launcher has made.
+    /// Opens the table that the launcher has created.
     ///
     /// # Errors
-    /// There is none, or it cannot be mapped.
+    /// It does not exist, or cannot be mapped.
     pub(super) fn open(folder: &Path, topic: &Topic) -> io::Result<Self> {
         let (file, length) = (File::options().read(true).write(true).open(path(folder, topic))?, length(topic));
         let bytes = length * size_of::<AtomicU64>();
@@ -55,7 +56,7 @@ impl Acknowledgements {
             return Err(io::ErrorKind::UnexpectedEof.into());
         }
         let (access, shared) = (libc::PROT_READ | libc::PROT_WRITE, libc::MAP_SHARED);
-        // SAFETY: a new mapping of a file that is as long as this; nobody makes it shorter while its run lasts.
+        // SAFETY: a new mapping of a file of at least this length; no process truncates it while its run lasts.
         let mapped = unsafe { libc::mmap(std::ptr::null_mut(), bytes, access, shared, file.as_raw_fd(), 0) };
         let words = NonNull::new(mapped.cast()).filter(|_| mapped != libc::MAP_FAILED);
         let words = words.ok_or_else(io::Error::last_os_error)?;
@@ -67,22 +68,22 @@ impl Acknowledgements {
         &self.writers
     }
 
-    /// The place of a writer in the table.
+    /// Index of a writer in the table.
     pub(super) fn place_of(&self, writer: &Text<32>) -> Option<usize> {
         self.writers.iter().position(|own| own == writer)
     }
 
-    /// The number of the first message of `writer` that `reader` has not finished.
+    /// Number of the first message of `writer` that `reader` has not finished.
     pub(super) fn next(&self, reader: usize, writer: usize) -> u64 {
         self.cell(reader, writer)[0].load(Ordering::Acquire)
     }
 
-    /// Notes that `reader` has finished the messages of `writer` before the number `next`.
+    /// Records that `reader` has finished the messages of `writer` with numbers below `next`.
     pub(super) fn finish(&self, reader: usize, writer: usize, next: u64) {
         self.cell(reader, writer)[0].store(next, Ordering::Release);
     }
 
-    /// Notes that `reader` begins a message of `writer`; how often it has begun that one, this time included.
+    /// Records that `reader` begins a message of `writer`. Returns how often it has begun that message, this time included.
     pub(super) fn begin(&self, reader: usize, writer: usize, number: u64) -> u64 {
         let (word, message) = (&self.cell(reader, writer)[1], number.wrapping_mul(MOST_BEGINNINGS + 1));
         let before = word.load(Ordering::Relaxed);
@@ -95,14 +96,15 @@ impl Acknowledgements {
     fn cell(&self, reader: usize, writer: usize) -> &[AtomicU64; WORDS] {
         let index = WORDS * (reader * self.writers.len() + writer);
         assert!(index + WORDS <= self.length, "no stage of this topic");
-        // SAFETY: it lies within the mapping, whose words are aligned, valid for all bit patterns, and only used as atomics.
+        // SAFETY: the cell lies within the mapping, whose words are aligned, valid for all bit patterns, and only used as
+        // atomics.
         unsafe { &*self.words.as_ptr().add(index).cast() }
     }
 }
 
 impl Drop for Acknowledgements {
     fn drop(&mut self) {
-        // SAFETY: this is the mapping that was made in `open`, and nobody has a part of it any more.
+        // SAFETY: this is the mapping that was made in `open`, and nothing refers to it any more.
         unsafe { libc::munmap(self.words.as_ptr().cast(), self.length * size_of::<AtomicU64>()) };
     }
 }
@@ -111,7 +113,7 @@ fn length(topic: &Topic) -> usize {
     WORDS * topic.readers.len() * topic.writers.len()
 }
 
-/// A name that no other topic's table has.
+/// Path of a topic's table, with a unique name.
 fn path(folder: &Path, topic: &Topic) -> PathBuf {
     folder.join(format!("{}.{ENDING}", topic.name.replace('/', "%")))
 }
@@ -131,7 +133,7 @@ mod tests {
     fn what_a_process_was_done_with_outlives_it() {
         let folder = tempfile::tempdir().unwrap();
         assert!(Acknowledgements::open(folder.path(), &topic()).is_err(), "nobody has made it");
-        // A word for what was finished, and one for what was begun, of each of two readers and two writers.
+        // For each of two readers and two writers, a word for what was finished, and one for what was begun.
         fs::write(path(folder.path(), &topic()), [0; 8 * 8 - 1]).unwrap();
         assert!(Acknowledgements::open(folder.path(), &topic()).is_err(), "it is cut off");
         Acknowledgements::create(folder.path(), &topic()).unwrap();

@@ -1,11 +1,11 @@
-//! Removes all that is left in shared memory when nobody uses it.
+//! Removes leftovers from shared memory when no process uses it.
 //!
-//! iceoryx2 removes what a dead process has left as far as that had come to announce it. A process that is killed while it
-//! joins or leaves may leave files that nothing leads to, and nobody removes the counter of processes; they go with the last
-//! one that uses the folder. Whoever uses it holds a lock, which the kernel releases however a process ends; and what a
-//! folder's users have in shared memory bears a prefix of its own, so that other users, folders and containers are never
-//! touched. What its maker died over before it was whole would stop for ever who opens it: it is removed before a process joins,
-//! and while a run lasts.
+//! iceoryx2 removes only what a dead process had registered. A process that is killed while it joins or leaves may leave
+//! unregistered files, and iceoryx2 never removes its counter of processes. These files are removed by the last process that uses
+//! the folder. Each user of the folder holds a lock, which the kernel releases however the process ends. The files of a folder's
+//! users in shared memory share a unique prefix, so that other users, folders and containers are never touched. A file whose
+//! maker died before it was complete would block every process that opens it: it is removed before a process joins, and while a
+//! run lasts.
 
 use crate::file_lock::{Locked, is_shared, lock_within};
 use crate::ports::capacity::SHARED_MEMORY;
@@ -19,8 +19,8 @@ use std::path::{Path, PathBuf};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-/// A process that was killed still has its locks and its files for so long, on a machine with much to do, and one that looks for
-/// litter the lock.
+/// Maximum time for which a killed process still holds its locks and files on a busy machine, or a process that checks for
+/// leftovers holds the lock.
 const LETTING_GO: Duration = Duration::from_secs(1);
 
 const LOCK: &str = "lock";
@@ -28,13 +28,13 @@ const LOCK: &str = "lock";
 /// From Linux's `fcntl.h`; the `libc` crate does not have it.
 const F_SETSIG: libc::c_int = 10;
 
-/// What the names of all files in shared memory begin with that this program makes.
+/// Prefix of all files of this program in shared memory.
 pub(super) const PREFIX: &str = "conicflow_";
 
-/// The counter of a folder's processes is the one file that none of them keeps open.
+/// File name suffix of the counter of a folder's processes, the only file that none of them keeps open.
 pub(super) const COUNTER: &str = ".global_mgmt";
 
-/// What the names of all files begin with that users of the folder make.
+/// Prefix of all files of a folder's users in shared memory.
 ///
 /// # Errors
 /// There is no such folder.
@@ -49,7 +49,7 @@ fn fnv_1a(bytes: &[u8]) -> u32 {
     bytes.iter().fold(0x811c_9dc5, |hash, byte| (hash ^ u32::from(*byte)).wrapping_mul(0x0100_0193))
 }
 
-/// A folder that this process uses as long as this lives; the last of its users leaves nothing in it.
+/// Use of a folder by this process, for the lifetime of this value; the last user leaves nothing in the folder.
 #[derive(Debug)]
 pub(super) struct Occupied {
     root: PathBuf,
@@ -59,8 +59,8 @@ pub(super) struct Occupied {
 }
 
 impl Occupied {
-    /// Says that this process uses the folder. Where `stop` is forced by the time that it leaves, those who use the folder then
-    /// may have been killed, and would leave nothing in order any more: it waits until they are gone.
+    /// Registers this process as a user of the folder. If `stop` is forced when it leaves, the other users may have been killed
+    /// and cannot clean up: it then waits until they are gone.
     pub(super) fn new(root: &Path, stop: Stop) -> io::Result<Self> {
         let lock = Locked(File::create(root.join(LOCK))?);
         lock.0.lock_shared()?;
@@ -72,18 +72,18 @@ impl Occupied {
         &self.root
     }
 
-    /// What the names of all files in shared memory begin with that its users make.
+    /// Prefix of all files of the folder's users in shared memory.
     pub(super) fn prefix(&self) -> &str {
         &self.prefix
     }
 
-    /// Whether the folder and what its users share is still there: nothing but the last of them removes it, or somebody from outside.
+    /// Whether the folder and its shared memory still exist. Only the last user removes them, or somebody from outside.
     pub(super) fn is_there(&self) -> bool {
         self.root.join(LOCK).exists() && has_entry(Path::new(SHARED_MEMORY), is_counter(&self.prefix))
     }
 
-    /// Removes from shared memory what its maker died over before it was whole, and waits so long for what is being made: iceoryx2
-    /// gives up on a counter of processes that is not whole, and waits for ever for what has no size yet.
+    /// Removes incomplete files of dead makers from shared memory, and waits up to `patience` for files under construction.
+    /// iceoryx2 gives up on an incomplete counter of processes, and waits for ever for a file without a size.
     pub(super) fn settle(&self, patience: Duration) -> io::Result<()> {
         let deadline = Instant::now() + patience;
         for_each_entry(
@@ -98,16 +98,16 @@ impl Occupied {
         )
     }
 
-    /// Removes all that users of the folder have left in it and in shared memory, if no other uses it: for one that is about
-    /// to leave, because it may have lost its lock afterwards.
+    /// Removes all files of the folder's users, in it and in shared memory, if no other process uses it. Called just before this
+    /// process leaves, as it may lose its lock.
     pub(super) fn clean_up(&self) -> io::Result<()> {
         self.clean_up_within(LETTING_GO, || sleep(Duration::from_millis(1)))
     }
 
-    /// The same, with how long it waits for others, and the pause after which it looks again.
+    /// The same, with the time to wait for others, and a pause before each new attempt.
     fn clean_up_within(&self, grace: Duration, mut pause: impl FnMut()) -> io::Result<()> {
-        // Who exchanges his share of the lock for the whole gives it back first, and one that just looks for litter may have got
-        // it. Those who share it use the folder, or find out the same at the same time, and have let go of it a moment later.
+        // To turn a shared lock into an exclusive one, a process has to release it first, and a process that checks for leftovers
+        // may get it in between. Holders of a shared lock either use the folder, or check in the same moment and release it soon.
         let mut shared = 0;
         let is_worth_waiting = |lock: &File| {
             shared += u32::from(is_shared(lock));
@@ -118,7 +118,7 @@ impl Occupied {
         }
         let remove = |path: &Path, is_folder| if is_folder { fs::remove_dir_all(path) } else { fs::remove_file(path) };
         for_each_entry(&self.root, |name| name != LOCK, remove)?;
-        // A folder that was deleted under a live run may have left its number to this one.
+        // A folder that was deleted under a live run may have passed its inode number, and so its prefix, to this one.
         let (own, deadline) = (|name: &str| name.starts_with(&self.prefix), Instant::now() + grace);
         for_each_entry(Path::new(SHARED_MEMORY), own, |path, _| {
             while is_own(path)? && !remove_unused(path)? && Instant::now() < deadline {
@@ -131,12 +131,12 @@ impl Occupied {
 
 impl Drop for Occupied {
     fn drop(&mut self) {
-        // What cannot be removed is found by the next run, or by `doctor`.
+        // Files that cannot be removed are found by the next run, or by `doctor`.
         self.clean_up().ok();
     }
 }
 
-/// Closes to others the one file in shared memory that iceoryx2 leaves open to everybody, a counter of 16 bytes.
+/// Makes the counter of processes (16 bytes) private: the one file that iceoryx2 leaves open to all users.
 pub(super) fn close_to_others(root: &Path) -> io::Result<()> {
     for_each_entry(Path::new(SHARED_MEMORY), is_counter(&prefix(root)?), |path, _| {
         if is_own(path)? { fs::set_permissions(path, Permissions::from_mode(0o600)) } else { Ok(()) }
@@ -148,9 +148,9 @@ fn is_counter(prefix: &str) -> impl Fn(&str) -> bool {
     move |name| name.starts_with(prefix) && name.ends_with(COUNTER)
 }
 
-/// Whether a file in shared memory is whole, or was removed here because it never will be: its maker is gone.
+/// Whether a file in shared memory is complete, or was removed here because its maker is gone.
 fn settle(path: &Path) -> io::Result<bool> {
-    // While the file is held, and with it the lease, nobody can go on with it.
+    // As long as this process holds the file and its lease, no other process can continue with it.
     let Some(file) = open_unless_held(path)? else { return Ok(false) };
     let (unused, is_whole) = (is_unused(&file), is_whole(&file.metadata()?));
     if unused && !is_whole {
@@ -159,17 +159,17 @@ fn settle(path: &Path) -> io::Result<bool> {
     Ok(unused || is_whole)
 }
 
-/// Whether what a file in shared memory is to be is there: before that its maker lets nobody read it.
+/// Whether a file in shared memory is complete: until then its maker makes it unreadable.
 fn is_whole(about: &Metadata) -> bool {
     about.mode() & Mode::RUSR.bits() != 0
 }
 
-/// Whether a file in shared memory is one of this user: anybody can put files there, under any name.
+/// Whether a file in shared memory belongs to this user: anybody can put files there, under any name.
 fn is_own(path: &Path) -> io::Result<bool> {
     Ok(is_file_of_this_user(&fs::symlink_metadata(path)?))
 }
 
-/// Whether a file in shared memory is one of this user, and not whole.
+/// Whether a file in shared memory belongs to this user and is incomplete.
 fn is_begun(path: &Path) -> io::Result<bool> {
     let about = fs::symlink_metadata(path)?;
     Ok(is_file_of_this_user(&about) && !is_whole(&about))
@@ -179,21 +179,21 @@ fn is_file_of_this_user(about: &Metadata) -> bool {
     about.is_file() && about.uid() == rustix::process::getuid().as_raw()
 }
 
-/// Removes a file in shared memory, unless a process has it open; whether it was removed.
+/// Removes a file in shared memory unless a process has it open. Returns whether it was removed.
 pub(super) fn remove_unused(path: &Path) -> io::Result<bool> {
-    // The file is held, and with it the lease, until its name is gone.
+    // This process holds the file and its lease until the name is removed.
     let Some(file) = open_unless_held(path)? else { return Ok(false) };
     let unused = is_unused(&file);
     if unused { fs::remove_file(path).map(|()| true) } else { Ok(false) }
 }
 
-/// Opens a file in shared memory, whoever may have put what under its name: for writing, because iceoryx2 lets nobody, not even
-/// its owner, read what is not whole.
+/// Opens a file in shared memory, without trust in what its name refers to. It opens for writing, because iceoryx2 makes
+/// incomplete files unreadable even for their owner.
 pub(super) fn open(path: &Path) -> io::Result<File> {
     OpenOptions::new().write(true).custom_flags(libc::O_NOFOLLOW | libc::O_NONBLOCK).open(path)
 }
 
-/// The same; none where another one just looks whether somebody uses it, as all do that join at a time.
+/// The same; `None` while another process holds the lease to check whether the file is in use, as all joining processes do.
 fn open_unless_held(path: &Path) -> io::Result<Option<File>> {
     match open(path) {
         Err(error) if error.kind() == ErrorKind::WouldBlock => Ok(None),
@@ -201,19 +201,19 @@ fn open_unless_held(path: &Path) -> io::Result<Option<File>> {
     }
 }
 
-/// Whether nobody else has the file open or mapped, in whatever container; it stays so until the file is closed here,
-/// because whoever opens it meanwhile waits for that. Where the kernel cannot tell, somebody has.
+/// Whether no other process, in any container, has the file open or mapped. It stays so until the file is closed here, because an
+/// `open` elsewhere blocks until then. If the kernel cannot tell, the file counts as used.
 pub(super) fn is_unused(file: &File) -> bool {
     let descriptor = file.as_raw_fd();
-    // SAFETY: the calls take an open descriptor and numbers, and touch no memory. The signal that tells of somebody who
-    // waits is one that is ignored unless asked for.
+    // SAFETY: the calls take an open descriptor and numbers, and touch no memory. The signal for a blocked `open` elsewhere is
+    // ignored by default.
     unsafe {
         libc::fcntl(descriptor, F_SETSIG, libc::SIGURG) == 0
             && libc::fcntl(descriptor, libc::F_SETLEASE, libc::F_WRLCK) == 0
     }
 }
 
-/// Whether something of the folder's users is left, in it or in shared memory, and nobody uses it.
+/// Whether the folder or its shared memory has leftovers, and no process uses it.
 pub(super) fn is_littered(root: &Path) -> bool {
     let Ok(lock) = File::open(root.join(LOCK)).map(Locked) else { return false };
     lock.0.try_lock().is_ok()
@@ -229,7 +229,7 @@ fn has_entry(folder: &Path, which: impl Fn(&str) -> bool) -> bool {
     entries.any(|entry| entry.file_name().to_str().is_some_and(&which))
 }
 
-/// Does something with the entries of these names, unless they, or the folder, are gone meanwhile.
+/// Calls `act` with each entry of these names; entries, or a folder, that vanish meanwhile are no error.
 pub(super) fn for_each_entry(
     folder: &Path,
     which: impl Fn(&str) -> bool,
@@ -257,7 +257,7 @@ mod tests {
 
     const LONG: Duration = Duration::from_secs(20);
 
-    /// What a process that was killed may leave: half a node in the folder, half a segment in shared memory.
+    /// Leftovers of a killed process: half a node in the folder, half a segment in shared memory.
     fn litter(root: &Path) -> [PathBuf; 2] {
         let details = root.join("nodes/42/conicflow_node.details");
         fs::create_dir_all(details.parent().unwrap()).unwrap();
@@ -303,7 +303,7 @@ mod tests {
         assert_eq!(modes, [0o600, 0o666, 0o666]);
     }
 
-    /// A part of a folder's shared memory as its maker begins it.
+    /// A file in a folder's shared memory whose creation has begun.
     fn begin(root: &Path) -> (PathBuf, File) {
         let path = Path::new(SHARED_MEMORY).join(format!("{}1.dynamic", prefix(root).unwrap()));
         let maker = OpenOptions::new().write(true).create_new(true).mode(0o200).open(&path).unwrap();
@@ -318,7 +318,7 @@ mod tests {
         occupied.settle(Duration::from_millis(20)).unwrap();
         assert!(path.exists(), "it is nobody else's yet, and not for ever waited for");
         drop(maker);
-        // The processes that other tests start have what is open here open until they are other programs.
+        // Processes that other tests fork hold copies of open files until they exec.
         occupied.settle(LONG).unwrap();
         assert!(!path.exists(), "its maker is gone");
 
@@ -357,7 +357,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let (path, maker) = begin(folder.path());
         drop(maker);
-        // As root everybody may read it: this thread gives that up.
+        // Root may read everything: this thread drops that capability.
         let removed = std::thread::spawn(move || {
             let mut sets = capabilities(None).unwrap();
             sets.effective -= CapabilitySet::DAC_OVERRIDE | CapabilitySet::DAC_READ_SEARCH;
@@ -410,7 +410,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let last = Occupied::new(folder.path(), Stop::default()).unwrap();
         let left = litter(folder.path());
-        // As where somebody looks while this one exchanges its share of the lock for the whole.
+        // As if somebody checks while this process turns its shared lock into an exclusive one.
         last.lock.0.unlock().unwrap();
         let looker = File::open(folder.path().join(LOCK)).unwrap();
         looker.lock().unwrap();
@@ -439,7 +439,7 @@ mod tests {
         last.clean_up_within(Duration::from_millis(20), pause).unwrap();
         assert!(segment.exists());
         drop(held);
-        // The processes that other tests start have what is open here open until they are other programs.
+        // Processes that other tests fork hold copies of open files until they exec.
         last.clean_up_within(LONG, || ()).unwrap();
         assert!(!segment.exists());
     }

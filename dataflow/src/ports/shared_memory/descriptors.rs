@@ -1,32 +1,32 @@
-//! iceoryx2 leaves the descriptors that it opens to all processes that are started afterwards. These have no use for them, and each
-//! counts against what they may have open.
+//! iceoryx2 opens descriptors without close-on-exec, so that child processes inherit them. They do not need them, and each counts
+//! against their limit of open files.
 
 use std::collections::BTreeSet;
 
-/// Descriptors that processes get which this one starts.
+/// Descriptors that child processes inherit.
 pub(crate) struct Descriptors(BTreeSet<i32>);
 
 impl Descriptors {
-    /// Those of now: they may be meant for what is started.
+    /// Those that are open now: they may be meant for child processes.
     pub(crate) fn now() -> Self {
         let listed = std::fs::read_dir("/proc/self/fd").into_iter().flatten().flatten();
         let numbers: Vec<i32> = listed.filter_map(|entry| entry.file_name().to_str()?.parse().ok()).collect();
-        // Not the one by which they were listed: that is closed by now.
+        // Without the one used for the listing, which is closed by now.
         Self(numbers.into_iter().filter(|number| is_passed_on(*number)).collect())
     }
 
-    /// Keeps all that were opened since to this process.
+    /// Sets close-on-exec for all that were opened since.
     pub(crate) fn keep_later_ones(&self) {
         for descriptor in Self::now().0.difference(&self.0) {
-            // SAFETY: it changes no more than a flag; a descriptor that was closed meanwhile is refused.
+            // SAFETY: the call changes only a flag; for a closed descriptor it fails.
             unsafe { libc::fcntl(*descriptor, libc::F_SETFD, libc::FD_CLOEXEC) };
         }
     }
 }
 
-/// Whether this is a descriptor that processes get which this one starts.
+/// Whether child processes inherit this descriptor.
 fn is_passed_on(descriptor: i32) -> bool {
-    // SAFETY: it asks for a flag; where there is no such descriptor it is refused.
+    // SAFETY: the call reads a flag; for a closed descriptor it fails.
     unsafe { libc::fcntl(descriptor, libc::F_GETFD) == 0 }
 }
 
@@ -36,9 +36,9 @@ mod tests {
     use std::fs::File;
     use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
 
-    /// A descriptor of a file that processes get which are started, with a number that no other test has.
+    /// An inheritable descriptor of a file, with a number that no other test uses.
     fn passed_on(file: &File) -> OwnedFd {
-        // SAFETY: the descriptor is new, and nobody else's.
+        // SAFETY: the descriptor is new, and owned only here.
         unsafe { OwnedFd::from_raw_fd(libc::fcntl(file.as_raw_fd(), libc::F_DUPFD, 900)) }
     }
 

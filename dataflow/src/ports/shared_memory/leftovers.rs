@@ -1,10 +1,9 @@
-//! What dead processes have left in shared memory.
+//! Leftovers of dead processes in shared memory.
 //!
-//! Where the runs' folder is still there, what processes that died have left is found by it. Of runs whose folder was deleted
-//! only the files in `/dev/shm` are left, and no name leads from them to the folder. No file of a live run is ever closed
-//! by all of its processes, so one that nobody has open is dead. `/proc` cannot tell that of processes in other
-//! containers, but the kernel can: it grants a lease for writing only where no one, wherever it runs, has the file open or
-//! mapped.
+//! As long as the runs' folder exists, leftovers are found through it. If it was deleted, only the files in `/dev/shm` remain,
+//! and their names do not lead to the folder. At least one process of a live run always has each of its files open, so a file
+//! that no process has open is dead. `/proc` does not show the processes of other containers, but the kernel knows them: it
+//! grants a write lease only on a file that no process anywhere has open or mapped.
 
 use super::cleanup::{COUNTER, PREFIX, is_littered, is_unused, open, remove_unused};
 use super::services::{Ipc, SharedMemory, configuration};
@@ -17,9 +16,9 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
-/// A younger file may be one that is just being made, or whose owners are about to be looked after.
+/// Minimum age of a leftover: a younger file may be under construction, or its owners may be about to be cleaned up.
 const MIN_AGE: Duration = Duration::from_secs(60);
-/// Digits that tell the files of one folder from those of another.
+/// Number of digits in a file's name that identify its folder.
 const DIGITS: usize = 8;
 
 /// A file in shared memory that no process has open.
@@ -33,7 +32,7 @@ pub(crate) struct Leftover {
 }
 
 impl Leftover {
-    /// Removes the file, unless a process has opened it meanwhile; whether it was removed.
+    /// Removes the file unless a process has opened it meanwhile. Returns whether it was removed.
     pub(crate) fn remove(&self) -> bool {
         remove_unused(&self.path).unwrap_or(false)
     }
@@ -49,7 +48,7 @@ pub(crate) fn leftovers() -> io::Result<Vec<Leftover>> {
             None => in_use.push(path),
         }
     }
-    // A counter goes with the last file of its folder.
+    // A counter is removed with the last file of its folder.
     let in_use: Vec<_> = in_use.iter().map(|path| family(name_of(path))).collect();
     let goes = |name: &str| !name.ends_with(COUNTER) || !in_use.contains(&family(name));
     dead.retain(|leftover| goes(name_of(&leftover.path)));
@@ -60,7 +59,7 @@ fn name_of(path: &Path) -> &str {
     path.file_name().and_then(|name| name.to_str()).unwrap_or_default()
 }
 
-/// What the names of all files of one folder have in common; those of earlier versions had nothing, and are one family.
+/// Common part of the names of all files of one folder. Names of earlier versions have none, and count as one family.
 fn family(name: &str) -> Option<&str> {
     let (family, _) = name.strip_prefix(PREFIX)?.split_once('_')?;
     Some(family).filter(|family| family.len() == DIGITS)
@@ -70,28 +69,28 @@ fn leftover(path: &Path) -> Option<Leftover> {
     let file = open(path).ok()?;
     let about = file.metadata().ok()?;
     let age = SystemTime::now().duration_since(about.modified().ok()?).ok()?;
-    // The kernel grants a lease on nothing but a file, so that folders, links and pipes are none.
+    // The kernel grants a lease only on a regular file, so folders, links and pipes are excluded.
     let own = about.uid() == rustix::process::geteuid().as_raw();
     let dead = own && age >= MIN_AGE && is_unused(&file);
     dead.then(|| Leftover { path: path.to_owned(), bytes: about.blocks() * 512, age })
 }
 
-/// What dead processes have left in a folder.
+/// Leftovers of dead processes in a folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Litter {
     /// Nothing.
     None,
-    /// So many processes have joined its shared memory and died there.
+    /// Number of processes that joined its shared memory and died.
     Processes(usize),
-    /// Files that nothing leads to, and that nobody uses.
+    /// Unregistered files that no process uses.
     Files,
 }
 
-/// What dead processes have left in a folder, and in shared memory from there.
+/// Finds leftovers of dead processes in a folder and its shared memory.
 pub(crate) fn litter(root: &Path) -> Litter {
     set_log_level(LogLevel::Fatal);
     let mut dead = 0;
-    // What cannot be listed is told by what cannot be opened: the folder is looked at, too.
+    // If listing fails, the check of the folder below still finds leftovers.
     configuration(root).ok().and_then(|config| {
         let count = |node: NodeState<Ipc>| {
             dead += usize::from(matches!(node, NodeState::Dead(_)));
@@ -106,7 +105,7 @@ pub(crate) fn litter(root: &Path) -> Litter {
     }
 }
 
-/// Removes what dead processes have left in a folder, and in shared memory from there; tells what that was.
+/// Removes leftovers of dead processes from a folder and its shared memory, and returns what they were.
 ///
 /// # Errors
 /// The folder cannot be used for shared memory.
@@ -118,10 +117,10 @@ pub(crate) fn clear(root: &Path) -> Result<Litter, PortError> {
     Ok(litter)
 }
 
-/// Makes sure that sockets can lie in a folder of this path, whether it is there or not.
+/// Checks that the path of a folder suits sockets and shared memory; the folder need not exist.
 ///
 /// # Errors
-/// It is too long.
+/// The path is too long or, if the folder exists, has unusable characters.
 pub(crate) fn check_path(root: &Path) -> Result<(), PortError> {
     match configuration(root) {
         Err(error @ (PortError::PathTooLong { .. } | PortError::PathUnusable { .. })) => Err(error),
@@ -149,7 +148,7 @@ mod tests {
         let holder = File::open(&path).unwrap();
         assert!(!leftover.remove() && path.exists(), "somebody reads it");
         drop(holder);
-        // The processes that other tests start have what is open here open until they are other programs.
+        // Processes that other tests fork hold copies of open files until they exec.
         assert!(until(|| leftover.remove()) && !path.exists());
         assert!(!leftover.remove(), "it is gone");
     }

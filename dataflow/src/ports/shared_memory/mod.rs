@@ -1,15 +1,14 @@
-//! Topics in shared memory, by iceoryx2: this module is the only place that knows it.
+//! Topics in shared memory, by iceoryx2: only this module uses it.
 //!
-//! A topic `t` of run `r` is three services: `conicflow/r/t` carries the messages, `conicflow/r/t/wake` wakes the readers
-//! when a message was sent, `conicflow/r/t/room` wakes a writer that waits because a lossless reader's queue is
-//! full. All numbers of a service follow from the pipeline file, so that every stage asks for the same ones and the order
-//! of their start does not matter.
+//! A topic `t` of run `r` has three services: `conicflow/r/t` carries the messages, `conicflow/r/t/wake` wakes the readers when a
+//! message was sent, `conicflow/r/t/room` wakes a writer that waits because a lossless reader's queue is full. All sizes of a
+//! service follow from the pipeline file, so that all stages request the same ones and the order of their start does not matter.
 //!
-//! In a run that has a launcher nothing is lost with a lossless reader that is killed. Its writer keeps what it has sent in
-//! iceoryx2's history until the reader has [noted](acknowledgements) that it is done with that, and sends no more than fits
-//! there. A reader that comes anew is handed the history, and goes on at what was noted.
+//! In a run with a launcher a kill of a lossless reader loses no message. Its writer keeps sent messages in iceoryx2's history
+//! until the reader has [acknowledged](acknowledgements) them, and sends no more than fit there. A restarted reader receives the
+//! history, and continues after the last acknowledgement.
 
-#![allow(unsafe_code)] // layouts in shared memory, loans whose content is left over, leases on files, pages given back
+#![allow(unsafe_code)] // layouts in shared memory, loans with old content, leases on files, pages returned to the system
 
 pub(crate) mod acknowledgements;
 mod cleanup;

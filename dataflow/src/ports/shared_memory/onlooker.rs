@@ -1,7 +1,7 @@
-//! A look into a topic from outside the pipeline: one reader more, which nobody waits for and which wakes nobody.
+//! Onlooker of a topic: an additional reader from outside the pipeline. No writer waits for it, and it wakes none.
 //!
-//! It has no place among the pipeline's readers but one of those kept free for it, and no listener. An onlooker that is slow,
-//! stopped or dead loses messages, and no writer notices.
+//! It has no place among the pipeline's readers but a spare one, and no listener. A slow, suspended or dead onlooker loses
+//! messages, and no writer is affected.
 
 use super::reader::{ReadingPort, SharedMessage};
 use super::services::{SPARE_READERS, SharedMemory};
@@ -11,19 +11,19 @@ use iceoryx2::port::subscriber::SubscriberCreateError;
 use iceoryx2::prelude::PortName;
 use std::sync::Arc;
 
-/// No stage can have this name.
+/// A name that no stage can have.
 const NAME: &str = "(onlooker)";
 
-/// Reads a topic that others read.
+/// Reads a topic as an onlooker.
 pub struct SharedOnlooker {
     port: Arc<ReadingPort>,
 }
 
 impl SharedMemory {
-    /// Looks into a topic of these items, of which this process is no part: its run has made all that this needs.
+    /// Opens a topic with items of this type as an onlooker; the run has created all that this needs.
     ///
     /// # Errors
-    /// The topic carries something else, too many look on already, or shared memory failed.
+    /// The topic carries another type, there are too many onlookers, or shared memory failed.
     pub fn onlooker(&self, item: &ItemType, topic: &Topic) -> Result<SharedOnlooker, PortError> {
         let fault = |reason: String| self.fault(format!("topic `{}` cannot be looked into", topic.name), reason);
         let name = PortName::new(NAME).map_err(|error| fault(format!("{error:?}")))?;
@@ -41,7 +41,7 @@ impl SharedMemory {
 }
 
 impl SharedOnlooker {
-    /// The oldest message that waits, if any.
+    /// Takes the oldest message from the queue, if any.
     ///
     /// # Errors
     /// Shared memory failed.

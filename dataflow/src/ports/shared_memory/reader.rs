@@ -1,4 +1,4 @@
-//! The reading end of a topic in shared memory.
+//! Reader of a topic in shared memory.
 
 use super::acknowledgements::Acknowledgements;
 use super::cleanup::Occupied;
@@ -14,25 +14,25 @@ use std::fmt::Debug;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Reads a topic in shared memory.
+/// Reader of a topic in shared memory.
 pub struct SharedReader {
     pub(super) port: Arc<ReadingPort>,
     pub(super) wake: Listener<Ipc>,
     pub(super) room: Option<Notifier<Ipc>>,
-    /// Where it notes what it has finished, and its place there.
+    /// Table of acknowledgements, and this reader's index in it.
     pub(super) finished: Option<(Arc<Acknowledgements>, usize)>,
-    /// The writer's end from which the last message came.
+    /// Port of the last message's writer.
     pub(super) origin: Option<u128>,
     pub(super) item: ItemType,
     pub(super) topic: String,
     pub(super) occupied: Arc<Occupied>,
 }
 
-/// What messages come through. A writer takes the memory of messages back when the port through which they went is gone, so each
-/// message keeps its port.
+/// Port for messages. A writer takes the memory of messages back when the port that received them is dropped, so each message
+/// holds its port.
 pub(super) struct ReadingPort {
     subscriber: Subscriber,
-    /// Last: the folder is this process's until its ports have left it.
+    /// The last field: the folder is in use until the ports are dropped.
     _occupied: Arc<Occupied>,
 }
 
@@ -41,22 +41,22 @@ impl ReadingPort {
         Arc::new(Self { subscriber, _occupied: Arc::clone(occupied) })
     }
 
-    /// The oldest message that waits, if any.
+    /// Takes the oldest message from the queue, if any.
     pub(super) fn receive(self: &Arc<Self>) -> Result<Option<SharedMessage>, ReceiveError> {
         let received = self.subscriber.receive()?;
         Ok(received.map(|sample| SharedMessage { sample, _port: Arc::clone(self) }))
     }
 }
 
-/// A message in shared memory, which is not used for another one as long as this lives.
+/// A message in shared memory, which is not reused for the lifetime of this value.
 pub struct SharedMessage {
     sample: Sample,
-    /// After the message.
+    /// Dropped after the message.
     _port: Arc<ReadingPort>,
 }
 
-// SAFETY: who shares it reads header and items, which nobody writes as long as it lives; it is given back once, by its last
-// owner, to a service that is safe for threads, which makes it `Send`.
+// SAFETY: threads that share it only read header and items, which nobody writes during its lifetime. Its last owner returns it
+// once, to a service that is safe for threads and so makes it `Send`.
 unsafe impl Sync for SharedMessage {}
 
 impl Received for SharedMessage {
@@ -81,7 +81,8 @@ impl Reader for SharedReader {
         let received = received.map_err(|error| self.fault(format!("topic `{}` cannot be read", self.topic), error))?;
         if let Some(message) = &received {
             let origin = Some(message.sample.header().publisher_id().value());
-            // Where messages are kept, there is room for another one when one is finished; a new writer waits until it is seen.
+            // If messages are kept, a writer gets room only when one is finished; but a new writer waits until its first message
+            // is taken.
             if self.finished.is_none() || self.origin != origin {
                 self.wake_writer();
             }
@@ -92,7 +93,7 @@ impl Reader for SharedReader {
 
     fn wait(&mut self, timeout: Duration) -> Result<(), PortError> {
         match self.wake.timed_wait(|_| {}, timeout) {
-            // A signal ends the sleep early; the runner looks at its stop flag then.
+            // A signal ends the sleep early; the runner then checks its stop flag.
             Ok(_) | Err(ListenerWaitError::InterruptSignal) => Ok(()),
             Err(error) => Err(self.fault(format!("waiting for topic `{}` failed", self.topic), error)),
         }
@@ -122,7 +123,7 @@ impl SharedReader {
     }
 
     fn wake_writer(&self) {
-        // A writer that is not woken looks again by itself after `DEAD_READER_CHECK`.
+        // A writer that is not woken checks again after `DEAD_READER_CHECK`.
         if let Some(room) = &self.room {
             room.notify().ok();
         }

@@ -1,9 +1,9 @@
-//! Memory that a writer is sure of.
+//! Reserves shared memory for a writer.
 //!
-//! iceoryx2 gives a segment its length, and the system gives memory for a page when that is first written: where other
-//! programs have taken what was free, the writer is killed. So the pages that its images can come to need are asked for as
-//! soon as the segment is there, when it can still be told that there are too few. They are the first of the segment: of the
-//! places for messages that are free it takes the one that came back last, and a new one only where there is none.
+//! iceoryx2 sets the length of a segment, but the system allocates a page only at the first write: if memory is exhausted then,
+//! the writer is killed. The pages that a writer's images can need are therefore allocated as soon as the segment exists, when a
+//! lack of memory can still be reported. These are the first pages of the segment, as the allocator reuses the slot that was
+//! returned last, and takes a new one only if none is free.
 
 use super::cleanup::for_each_entry;
 use crate::ports::capacity::SHARED_MEMORY;
@@ -13,13 +13,13 @@ use std::fs::File;
 use std::io;
 use std::path::Path;
 
-/// What the name of a segment of messages ends with.
+/// Suffix of the name of a segment with messages.
 const MESSAGES: &str = ".data";
 
-/// Takes memory for the first bytes of the segment in which the port `publisher` of a folder's user has its messages.
+/// Allocates the first bytes of the segment in which the port `publisher` of a folder's user has its messages.
 ///
 /// # Errors
-/// There is not so much. Where a file system cannot say, memory is given when it is written, as ever.
+/// There is too little memory. A file system without such allocation is no error: memory is allocated at the first write.
 pub(super) fn reserve(prefix: &str, publisher: u128, bytes: u64) -> io::Result<()> {
     let end = format!("_{publisher}{MESSAGES}");
     let is_own = |name: &str| name.starts_with(prefix) && name.ends_with(&end);
@@ -39,7 +39,7 @@ mod tests {
     use std::os::unix::fs::MetadataExt;
     use std::path::PathBuf;
 
-    /// A segment of a terabyte, of which nothing is written.
+    /// A sparse segment of a terabyte.
     struct Segment(PathBuf);
 
     impl Segment {

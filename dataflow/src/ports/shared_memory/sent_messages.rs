@@ -1,4 +1,4 @@
-//! Which of the messages that a writer has sent its lossless readers have not finished: those that it must still keep.
+//! Messages that a writer has sent and its lossless readers have not finished, which it must still keep.
 
 use super::acknowledgements::Acknowledgements;
 use crate::ports::{Delivery, Topic};
@@ -6,13 +6,14 @@ use conicflow_messages::Header;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// The last messages of a writer, as many as it keeps.
+/// The last messages of a writer, up to the number that it keeps.
 pub(super) struct SentMessages {
-    /// Their writers, by place in the table, and numbers; a process that stands for stages of another machine has several.
+    /// Index of the writer in the table, and number of each message. A process that forwards messages of another machine has
+    /// several writers.
     last: VecDeque<(usize, u64)>,
     limit: usize,
     finished: Arc<Acknowledgements>,
-    /// The places of the readers that want all of them.
+    /// Indices of the lossless readers.
     readers: Vec<usize>,
 }
 
@@ -23,12 +24,12 @@ impl SentMessages {
         Self { last: VecDeque::new(), limit: topic.kept(), finished, readers }
     }
 
-    /// Notes that a message was sent.
+    /// Records a sent message.
     pub(super) fn add(&mut self, header: &Header) {
         let writer = header.trace().last().and_then(|hop| self.finished.place_of(&hop.stage));
         let Some(writer) = writer.filter(|_| !header.ends_stream()) else { return };
-        // A stage of another machine that was started anew counts from the beginning: by its new numbers nothing that it sent
-        // before can be told to be finished.
+        // A restarted stage of another machine numbers from 0 again: acknowledgements of its new numbers do not apply to its
+        // earlier messages.
         if self.last.iter().any(|(of, number)| *of == writer && *number >= header.number) {
             self.last.retain(|(of, _)| *of != writer);
         }
@@ -38,7 +39,7 @@ impl SentMessages {
         self.last.push_back((writer, header.number));
     }
 
-    /// How many they are since the first that the reader at this place has not finished, that one included.
+    /// Number of messages since the first one that the reader with this index has not finished, inclusive.
     pub(super) fn unfinished_by(&self, reader: usize) -> usize {
         if !self.readers.contains(&reader) {
             return 0;
@@ -47,7 +48,7 @@ impl SentMessages {
         self.last.iter().position(is_unfinished).map_or(0, |first| self.last.len() - first)
     }
 
-    /// The same for all readers together.
+    /// Sum of that number over all lossless readers.
     pub(super) fn unfinished_by_all(&self) -> usize {
         self.readers.iter().map(|reader| self.unfinished_by(*reader)).sum()
     }
@@ -64,7 +65,7 @@ mod tests {
         Topic { name: "things".into(), writers: vec!["writer".into()], readers: vec![reader], ..Topic::default() }
     }
 
-    /// The head of a message of this number.
+    /// Header of a message with this number.
     fn message(number: u64) -> Header {
         let mut header = Header { number, ..Header::default() };
         header.add_hop(Hop { stage: Text::new("writer"), ..Hop::default() });

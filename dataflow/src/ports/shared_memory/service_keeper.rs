@@ -1,7 +1,8 @@
-//! Keeps the services of a run in being, whichever of its stages come and go.
+//! Keeps the services of a run alive, independent of its stages.
 //!
-//! Processes that open a service at the same time settle who of them creates it. If that one is killed meanwhile the service
-//! is stuck, and nobody can open it any more. So the launcher creates all of them before it starts a stage.
+//! Processes that open a service at the same time decide among themselves which of them creates it. If that one is killed
+//! meanwhile, the service is stuck, and no process can open it any more. The launcher therefore creates all services before it
+//! starts a stage.
 
 use super::acknowledgements::Acknowledgements;
 use super::services::{EventFactory, SharedMemory};
@@ -9,7 +10,7 @@ use super::untyped::Factory;
 use crate::ports::{PortError, Topic};
 use std::time::Duration;
 
-/// The services of topics, for as long as this is held.
+/// The services of a run's topics, kept alive for the lifetime of this value.
 pub struct ServiceKeeper {
     _messages: Vec<Factory>,
     _events: Vec<EventFactory>,
@@ -17,21 +18,21 @@ pub struct ServiceKeeper {
 }
 
 impl ServiceKeeper {
-    /// Whether the run's part of shared memory is there. If it is not, those who are in it go on, but nobody finds them any more.
+    /// Whether the run's shared memory still exists. If not, its processes go on, but new ones do not find them.
     pub(crate) fn is_there(&self) -> bool {
         self.memory.occupied.is_there()
     }
 
-    /// Removes from it what a stage was killed over while it made that: who waits for it goes on. What cannot be removed goes with
-    /// the run.
+    /// Removes incomplete files whose maker was killed, so that processes that wait for them go on. Files that cannot be removed
+    /// are removed with the run.
     pub(crate) fn settle(&self) {
         self.memory.occupied.settle(Duration::ZERO).ok();
     }
 }
 
 impl SharedMemory {
-    /// Creates the services of these topics. Where nothing tells what a topic carries, its programs alone know, and its
-    /// messages' service is theirs to create.
+    /// Creates the services of these topics. If the type of a topic is unknown here, the service of its messages is left to its
+    /// programs.
     ///
     /// # Errors
     /// Shared memory failed.

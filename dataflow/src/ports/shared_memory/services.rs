@@ -1,4 +1,4 @@
-//! This process's part in the services of a run: it creates or opens those of a topic, and knows where their files lie.
+//! The services of a run as one process uses them: creates or opens those of a topic, and knows where their files are.
 
 use super::acknowledgements::Acknowledgements;
 use super::cleanup::{self, Occupied};
@@ -22,31 +22,32 @@ use std::time::Duration;
 
 pub(super) type Ipc = ipc_threadsafe::Service;
 
-/// Unix sockets lie in the folder, and their names leave no more room than this for its path.
+/// Maximum length of the folder's path in bytes: it contains Unix sockets, whose paths are limited.
 const ROOT_LIMIT: usize = 48;
 
-/// Readers that may join beside those of the pipeline file: tools that look on.
+/// Maximum number of onlookers: readers in addition to those of the pipeline file.
 pub(super) const SPARE_READERS: usize = 8;
-/// Messages that one reader may hold at a time: one for each source on a topic, or those that it keeps, and some in use.
+/// Maximum number of messages that one reader holds at a time: one for each source on a topic, or those that it keeps, and some
+/// in use.
 const MAX_HELD: usize = MAX_KEPT + 4;
 
-/// A part of shared memory that another process has begun to make is waited for so long: shorter than a run that ends waits for
-/// what is under way, since that process may have been killed.
+/// Maximum wait for another process to finish creating a part of shared memory. It is shorter than the grace of a run that ends,
+/// as that process may have been killed.
 const CREATION_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// This process's access to the topics of one run; its readers and writers need it as long as they are at work.
+/// Access of this process to the topics of one run; its readers and writers need it as long as they exist.
 pub struct SharedMemory {
     pub(super) node: Node<Ipc>,
     run: String,
-    /// The run's folder, where readers that want all messages may be started anew.
+    /// The run's folder, where lossless readers may restart.
     folder: Option<PathBuf>,
     pub(super) stop: Stop,
-    /// Shared with the ports, and last in each: the folder is theirs until all of them have left it.
+    /// Shared with the ports, and the last field of each: the folder is in use until all ports are dropped.
     pub(super) occupied: Arc<Occupied>,
 }
 
 impl SharedMemory {
-    /// Joins the run `run` whose files lie in the folder `root`.
+    /// Joins the run `run` whose files are in the folder `root`.
     ///
     /// # Errors
     /// The folder cannot be used for shared memory.
@@ -64,19 +65,19 @@ impl SharedMemory {
         Ok(Self { node, run: run.to_owned(), folder: None, stop, occupied })
     }
 
-    /// The same in a run that has a launcher, in whose `folder` it is noted what lossless readers have finished. All processes of
-    /// a run have to say so, but for those that look on.
+    /// Sets the `folder` of a run with a launcher; there the acknowledgements of lossless readers are kept. All processes of the
+    /// run have to set it, except onlookers.
     pub fn kept_in(self, folder: &Path) -> Self {
         Self { folder: Some(folder.to_owned()), ..self }
     }
 
-    /// The folder with what is noted of a topic, if messages are kept for any of its readers.
+    /// The folder of a topic's acknowledgements, if messages are kept for any of its readers.
     pub(super) fn folder_of(&self, topic: &Topic) -> Option<&Path> {
         self.folder.as_deref().filter(|_| topic.is_lossless() && !topic.writers.is_empty())
     }
 
-    /// How many messages wait for a reader at most. One that is started anew is handed all that is kept, before it has looked
-    /// into its queue for the first time and is counted as connected; what the writer then still has credit for follows.
+    /// Length of a reader's buffer. A restarted reader receives all kept messages before it first reads from its buffer and
+    /// counts as connected; then come the messages for which the writer still has credit.
     pub(super) fn buffer_of(&self, topic: &Topic, reader: &TopicReader) -> usize {
         match self.folder_of(topic) {
             Some(_) if reader.delivery == Delivery::Lossless => topic.kept() + reader.credit(),
@@ -84,7 +85,7 @@ impl SharedMemory {
         }
     }
 
-    /// What is noted of a topic.
+    /// The acknowledgements of a topic, if any are kept.
     pub(super) fn acknowledgements(&self, topic: &Topic) -> Result<Option<Arc<Acknowledgements>>, PortError> {
         let Some(folder) = self.folder_of(topic) else { return Ok(None) };
         let opened = Acknowledgements::open(folder, topic);
@@ -92,7 +93,7 @@ impl SharedMemory {
         opened.map(|table| Some(Arc::new(table))).map_err(fault)
     }
 
-    /// Removes what processes that died have left in shared memory.
+    /// Removes leftovers of dead processes from shared memory.
     ///
     /// # Errors
     /// The folder cannot be used for shared memory.
@@ -115,7 +116,7 @@ impl SharedMemory {
         ServiceName::new(&name).map_err(|error| self.fault(format!("topic `{}` cannot be named", topic.name), error))
     }
 
-    /// Makes sure that there is `room` for what iceoryx2 keeps for a port: it is written when the port is made.
+    /// Checks that there is `room` for iceoryx2's data of a port, which is written when the port is created.
     fn look_for_room(&self, room: io::Result<(u64, u64)>, topic: &Topic) -> Result<(), PortError> {
         match room {
             Ok((free, _)) if free < ROOM_PER_PORT as u64 => {
@@ -126,13 +127,13 @@ impl SharedMemory {
         }
     }
 
-    /// The service of a topic's messages.
+    /// Opens or creates the service of a topic's messages.
     pub(super) fn messages(&self, item: &ItemType, topic: &Topic) -> Result<Factory, PortError> {
         let opened = self.messages_builder(item, topic)?.open_or_create();
         opened.map_err(|error| self.messages_fault(item, topic, error))
     }
 
-    /// The same, where others have made it: who looks on does not know how much room they need in it.
+    /// Opens the service of a topic's messages without creating it, as an onlooker does not know the memory that it needs.
     pub(super) fn messages_of_others(&self, item: &ItemType, topic: &Topic) -> Result<Factory, PortError> {
         let opened = self.messages_builder(item, topic)?.open();
         opened.map_err(|error| {
@@ -211,10 +212,10 @@ pub(super) fn configuration(root: &Path) -> Result<Config, PortError> {
         PortError::of_shared_memory(root, doing, format_args!("{error}"))
     })?;
     let mut config = Config::default();
-    // Each is room for a connection in every reader, whose writer may have gone while it holds messages of that.
+    // Each slot is a connection per reader whose writer may have gone while the reader holds its messages.
     config.defaults.publish_subscribe.subscriber_expired_connection_buffer = MAX_HELD;
     let path = iceoryx2::prelude::Path::new(root.as_os_str().as_encoded_bytes()).map_err(|_| unusable())?;
-    // A process may be held up while it makes a part of its own; nobody who waits for that is to give up before it goes on.
+    // A process may be delayed while it creates a part; those that wait must not give up before it goes on.
     config.global.creation_timeout = CREATION_TIMEOUT;
     config.global.set_root_path(&path);
     config.global.prefix = FileName::new(prefix.as_bytes()).map_err(|_| unusable())?;
@@ -239,7 +240,7 @@ mod tests {
         };
         assert_eq!(rooms(&memory, &topic), [4, 4], "nobody is started anew");
         let memory = memory.kept_in(folder.path());
-        // Four that wait, one in its hands and the end; and then as many as may be unfinished.
+        // Four in the queue, one being processed, and the end of the stream; then as many as may be unfinished.
         assert_eq!(rooms(&memory, &topic), [6 + 5, 4]);
         assert_eq!((rooms(&memory, &without_writers), rooms(&memory, &newest_only)), (vec![4, 4], vec![4]));
         let is_kept = |topic: &Topic| memory.folder_of(topic).is_some();
@@ -281,7 +282,7 @@ mod tests {
         let topic = Topic { name: "things".into(), writers, readers, ..Topic::default() };
         let service = memory.messages(&ItemType::of::<u16>(), &topic).unwrap();
         let places = service.static_config();
-        // Beside those of the file eight may look on, and two may write in the place of others.
+        // In addition to the file's, eight readers may be onlookers, and two writers may be replacements.
         assert_eq!((places.max_subscribers(), places.max_publishers()), (3 + 8, 3 + 2));
         assert_eq!(places.max_nodes(), 2 * (11 + 5), "each may be followed by another process");
         assert_eq!(places.subscriber_max_borrowed_samples(), 12 + 4, "messages that are kept, and some in use");

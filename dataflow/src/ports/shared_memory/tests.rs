@@ -1,4 +1,4 @@
-//! Tests of the topics in shared memory, within one process: each side opens them as a process of its own would.
+//! Tests of topics in shared memory, within one process: each side opens them as a process of its own would.
 
 use crate::clock::until;
 use crate::heartbeat::Heartbeat;
@@ -22,7 +22,7 @@ pub(crate) fn topic(delivery: Delivery, queue: usize) -> Topic {
     Topic { name: "things".into(), item: None, writers: vec!["writer".into()], readers: vec![reader] }
 }
 
-/// A lossless topic of numbers, whose type is told.
+/// A lossless topic of numbers with a known type.
 fn lossless() -> Topic {
     Topic { item: Some(ItemType::of::<u16>()), ..topic(Delivery::Lossless, 3) }
 }
@@ -31,7 +31,7 @@ fn open(root: &Path, stage: &str) -> SharedMemory {
     SharedMemory::open(root, "test", stage, Stop::default()).unwrap()
 }
 
-/// A process's memory, and whether it now says that it waits for the reader.
+/// Memory of a process, and a function that returns whether the process now records that it waits for the reader.
 fn watched(root: &Path, stage: &str, stop: &Stop) -> (SharedMemory, impl Fn() -> bool + use<>) {
     let record = tempfile::tempfile().unwrap();
     record.set_len(64).unwrap();
@@ -53,7 +53,7 @@ fn sequences(reader: &mut impl Reader) -> Vec<u64> {
     std::iter::from_fn(|| reader.receive().unwrap().map(|message| message.header().sequence)).collect()
 }
 
-/// Sends a message of one item, as the stage that writes the topic does.
+/// Sends a message of one item as the topic's writer.
 fn send_as_writer(writer: &mut SharedWriter, number: u64) {
     writer.loan(1).unwrap().copy_from_slice(&[number as u16]);
     let mut header = Header { number, sequence: number, ..Header::default() };
@@ -61,7 +61,7 @@ fn send_as_writer(writer: &mut SharedWriter, number: u64) {
     writer.send(&header).unwrap();
 }
 
-/// The sequence number of the next message.
+/// Waits for the next message and returns its sequence number.
 fn wait_for(reader: &mut impl Reader) -> u64 {
     let deadline = Instant::now() + Duration::from_secs(20);
     while Instant::now() < deadline {
@@ -73,7 +73,7 @@ fn wait_for(reader: &mut impl Reader) -> u64 {
     panic!("no message comes");
 }
 
-/// A process that is killed while it makes the counter of a folder's processes leaves one that nobody may read.
+/// A process that is killed while it creates the counter of a folder's processes leaves an unreadable one.
 #[test]
 fn a_folder_can_be_joined_and_cleared_after_a_process_died_that_was_the_first_to_join() {
     let folder = tempfile::tempdir().unwrap();
@@ -124,7 +124,7 @@ fn a_run_goes_on_where_a_process_died_that_had_begun_what_another_one_waits_for(
     opening.join().unwrap().unwrap();
 }
 
-/// A process of its own that is in the midst of reading a topic: this program, of which it runs the test below.
+/// A separate process that is reading a topic: this program, which runs only the test below.
 pub(crate) struct ReadingProcess(Child);
 
 impl ReadingProcess {
@@ -158,7 +158,7 @@ fn it_reads_until_it_is_killed() {
     let delivery = if env::var_os(ReadingProcess::LATEST).is_some() { Delivery::Latest } else { Delivery::Lossless };
     let _reader = open(Path::new(&root), "reader").reader::<u16>(&topic(delivery, 3), "reader").unwrap();
     println!("{}", ReadingProcess::READS);
-    // Its parent says nothing, and lets go of it at the latest when it ends itself.
+    // Its parent writes nothing, and closes the pipe at its own end at the latest.
     io::stdin().read_to_end(&mut Vec::new()).unwrap();
 }
 
@@ -168,7 +168,7 @@ fn what_was_sent_is_not_gone_with_its_writer_before_a_reader_looks_for_the_first
     let topic = lossless();
     let open = |stage: &str| open(folder.path(), stage).kept_in(folder.path());
     let _services = open("launcher").keep_services([&topic].into_iter()).unwrap();
-    // It has joined the topic, and is still being made ready.
+    // It has joined the topic, but has not received yet.
     let mut reader = open("reader").reader::<u16>(&topic, "reader").unwrap();
     let (done, is_done) = channel();
     let (memory, waits) = watched(folder.path(), "writer", &Stop::default());
@@ -177,7 +177,7 @@ fn what_was_sent_is_not_gone_with_its_writer_before_a_reader_looks_for_the_first
         scope.spawn(|| {
             let mut writer = memory.writer::<u16>(&topic).unwrap();
             send_as_writer(&mut writer, 0);
-            // Its memory is cleared away, as that of a process that was killed.
+            // Its memory is cleaned up as after a kill.
             drop(writer);
             done.send(()).unwrap();
         });
@@ -199,7 +199,7 @@ fn what_a_lossless_reader_has_not_finished_is_handed_to_the_next_one_and_to_nobo
     let mut first = open("reader").reader::<u16>(&topic, "reader").unwrap();
     assert_eq!(first.acknowledged(), Some(vec![(Text::new("writer"), 0)]));
     thread::scope(|scope| {
-        // The first one is waited for until the reader has seen that there is a writer.
+        // The writer waits with the first one until the reader has received it.
         let sending = scope.spawn(|| (0..2).for_each(|number| send_as_writer(&mut writer, number)));
         assert_eq!(wait_for(&mut first), 0);
         sending.join().unwrap();
@@ -228,7 +228,7 @@ fn what_a_lossless_reader_has_not_finished_is_handed_to_the_next_one_and_to_nobo
     assert_eq!(writer.unfinished("reader"), 0);
 }
 
-/// It needs another place in shared memory, and what the first one holds may have to be handed to a reader that comes anew.
+/// It needs a new segment, and messages in the old one may have to be resent to a restarted reader.
 #[test]
 fn a_longer_message_waits_until_what_came_before_it_is_finished() {
     let folder = tempfile::tempdir().unwrap();
@@ -316,7 +316,7 @@ fn a_reader_that_was_killed_is_cleared_away_by_a_writer_that_has_nothing_to_do()
     let mut writer = open(folder.path(), "writer").writer::<u16>(&topic(Delivery::Lossless, 3)).unwrap();
     process.kill();
     assert_eq!(writer.connected().len(), 1, "nobody has noticed it yet");
-    // It looks once each time that it has waited in vain, and may come too early.
+    // It checks only after a wait without success, and may check too early.
     assert!(until(|| !writer.wait(Duration::from_millis(1)) && writer.connected().is_empty()));
 }
 
@@ -414,7 +414,7 @@ fn memory_for_images_is_taken_before_they_are_written() {
         name.starts_with(&prefix) && name.ends_with(".data")
     };
     let taken: u64 = files.filter(|path| is_own(path)).map(|path| path.metadata().unwrap().blocks() * 512).sum();
-    // Two that wait, two in a reader's hands, and one that is written.
+    // Two in the queue, two held by a reader, and one being written.
     assert!(taken >= 5 * 200_000, "{taken} bytes");
 }
 

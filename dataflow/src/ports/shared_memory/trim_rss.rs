@@ -1,36 +1,36 @@
-//! What a process keeps resident: once it is at work it gives back what only its start needed.
+//! Reduces the resident memory of a process: once it is at work, it returns pages that only its start needed.
 //!
-//! To read a plan and to open ports runs through most of the program once, and the system maps 64 kB of it around each place
-//! that is touched: 8 MB that a stage, which then goes round in 1 MB, would go on holding. Pages that were never written come
-//! back from the file when they are needed again; memory that was freed is the allocator's to return.
+//! Reading a plan and opening ports runs through most of the program once, and the system maps 64 kB around each place touched: 8
+//! MB that a stage, whose loop needs 1 MB, would keep resident. Unmodified pages are read from the file again when they are
+//! needed; freed memory is returned by the allocator.
 
 use std::fs;
 use std::ops::Range;
 
-/// Of the stack so much stays, below what is in use.
+/// Bytes of the stack that are kept below the part in use.
 const SPARE_STACK: usize = 64 * 1024;
-/// Pages are at most as long as this.
+/// Maximum size of a page in bytes.
 const PAGE: usize = 64 * 1024;
 
-/// Gives back pages of the program and its libraries that are as they are in their files, stack that was needed once, and
-/// memory that is free. Where the system cannot tell which pages those are, or does not take them, they stay.
+/// Returns unmodified pages of the program and its libraries, unused stack, and free memory of the allocator to the system. If
+/// the system does not list such pages, or refuses them, they stay.
 pub(crate) fn trim() {
     let mappings = fs::read_to_string("/proc/self/smaps").unwrap_or_default();
     let here = std::ptr::from_ref(&mappings).addr();
     for range in unwritten(&mappings).into_iter().chain(unused_stack(&mappings, here)) {
-        // SAFETY: the range is one that the system named, or a part of it. Pages of files that cannot be written, and of which
-        // none was while it could be, are read anew from there at the next access; below the frames of this thread, with
-        // room for a signal's, nothing is alive on its stack.
+        // SAFETY: the range is a mapping that the system listed, or a part of one. Pages of read-only file mappings without
+        // modified pages are read from the file again at the next access. Below the frames of this thread, with room for those of
+        // a signal, nothing on its stack is alive.
         unsafe { libc::madvise(range.start as *mut libc::c_void, range.len(), libc::MADV_DONTNEED) };
     }
     #[cfg(target_env = "gnu")]
-    // SAFETY: the allocator returns what nobody holds.
+    // SAFETY: the allocator returns only memory that is free.
     unsafe {
         libc::malloc_trim(0)
     };
 }
 
-/// What the main thread's stack has beyond what it uses, where that is the one with the address `here`.
+/// Part of the main thread's stack that is not in use, if the address `here` is on that stack.
 fn unused_stack(mappings: &str, here: usize) -> Option<Range<usize>> {
     let line = mappings.lines().find(|line| line.ends_with("[stack]"))?;
     let stack = addresses(line)?;
@@ -38,8 +38,7 @@ fn unused_stack(mappings: &str, here: usize) -> Option<Range<usize>> {
     (stack.contains(&here) && !unused.is_empty()).then_some(unused)
 }
 
-/// The mappings of programs and libraries that nobody can write, and of which no page was changed: there is none that is
-/// in memory, nor any that was put aside.
+/// Read-only mappings of programs and libraries without modified pages, neither in memory nor swapped out.
 fn unwritten(mappings: &str) -> Vec<Range<usize>> {
     let (mut found, mut current, mut none_here) = (Vec::new(), None, false);
     for line in mappings.lines() {
@@ -55,8 +54,7 @@ fn unwritten(mappings: &str) -> Vec<Range<usize>> {
     found
 }
 
-/// What the first line of a mapping tells: its range, if it is one of a file that cannot be written. `None` for any other
-/// line.
+/// Parses the first line of a mapping; `Some(range)` if it maps a file read-only. The outer `None`: another line.
 fn file_mapping(line: &str) -> Option<Option<Range<usize>>> {
     let range = addresses(line)?;
     let mut words = line.split_whitespace().skip(1);
@@ -65,7 +63,7 @@ fn file_mapping(line: &str) -> Option<Option<Range<usize>>> {
     Some(fixed.then_some(range))
 }
 
-/// The addresses that the first line of a mapping begins with.
+/// Address range at the start of a mapping's first line.
 fn addresses(line: &str) -> Option<Range<usize>> {
     let (start, end) = line.split_whitespace().next()?.split_once('-')?;
     let address = |text| usize::from_str_radix(text, 16).ok();
@@ -131,17 +129,17 @@ Swap:                  4 kB
             own.find_map(|line| line.strip_prefix("Rss:")).map(|size| size.trim().to_owned())
         };
         let descriptor = file.as_file().as_raw_fd();
-        // SAFETY: a new mapping of a file that is as long as this.
+        // SAFETY: a new mapping of a file of this length.
         let mapped =
             unsafe { libc::mmap(std::ptr::null_mut(), LENGTH, libc::PROT_READ, libc::MAP_PRIVATE, descriptor, 0) };
         assert_ne!(mapped, libc::MAP_FAILED);
-        // SAFETY: the mapping is there until the end of this test, and nobody writes the file.
+        // SAFETY: the mapping lasts until the end of this test, and nobody writes the file.
         let bytes = unsafe { std::slice::from_raw_parts(mapped.cast::<u8>(), LENGTH) };
         assert!(bytes.iter().all(|byte| *byte == 7));
         trim();
         assert_eq!(resident().as_deref(), Some("0 kB"));
         assert!(bytes.iter().all(|byte| *byte == 7), "they come back from the file");
-        // SAFETY: nobody has a part of it any more.
+        // SAFETY: nothing refers to it any more.
         unsafe { libc::munmap(mapped, LENGTH) };
     }
 

@@ -1,4 +1,4 @@
-//! The writing end of a topic in shared memory, and its waiting for readers that must not miss a message.
+//! Writer of a topic in shared memory, which waits for lossless readers.
 
 use super::cleanup::Occupied;
 use super::reserve::reserve;
@@ -22,23 +22,23 @@ use std::io::ErrorKind;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-/// A writer that waits for room looks this often whether the reader still lives.
+/// A writer that waits for room checks this often whether the reader is still alive.
 const DEAD_READER_CHECK: Duration = Duration::from_millis(100);
 
-/// Writes a topic in shared memory.
+/// Writer of a topic in shared memory.
 pub struct SharedWriter {
     pub(super) loan: Option<Loan>,
     pub(super) publisher: Option<Publisher>,
-    /// Items of the longest message that the publisher has room for.
+    /// Number of items of the longest message that the publisher has room for.
     pub(super) capacity: usize,
     pub(super) messages: Arc<Factory>,
     pub(super) wake: Notifier<Ipc>,
     pub(super) room: Arc<Listener<Ipc>>,
-    /// Places of readers that have taken something since the last message was sent, whoever of this writer waited then.
+    /// Indices of the readers that have taken a message since the last one was sent, collected in each wait of this writer.
     pub(super) answers: Arc<Mutex<Vec<usize>>>,
     /// Ports of lossless readers that have taken their first message.
     pub(super) attached: Vec<u128>,
-    /// What was sent and may have to be sent again, where that is kept.
+    /// Sent messages that may have to be sent again, where these are kept.
     pub(super) sent: Option<SentMessages>,
     pub(super) item: ItemType,
     pub(super) topic: Topic,
@@ -53,9 +53,9 @@ impl SharedWriter {
         PortError::of_shared_memory(self.occupied.root(), doing, reason)
     }
 
-    /// The publisher, made when the length of the first message is known, and anew for messages that have no room in it.
-    /// What the former one sent stays with its readers, who take it before what the new one sends. A segment that grows by
-    /// itself would need no second publisher, but takes a megabyte of each process that has a part in it.
+    /// Returns the publisher. It is created when the length of the first message is known, and replaced when a message does not
+    /// fit. Messages of the old one stay with its readers, who take them before those of the new one. A segment that grows
+    /// dynamically would need no second publisher, but costs each process that uses it a megabyte.
     fn publisher(&mut self, length: usize) -> Result<&Publisher, PortError> {
         if self.publisher.is_none() || length > self.capacity {
             let (longest, capacity) = if self.item.is_image() {
@@ -72,7 +72,7 @@ impl SharedWriter {
             let builder = builder.allocation_strategy(AllocationStrategy::Static);
             let builder = builder.set_backpressure_handler(self.wait_for_room());
             let publisher = builder.create().map_err(|error| self.fault(error))?;
-            // A list seldom fills its place; to take all of that would be many times what lists need.
+            // A list seldom fills its place; to reserve all of that would take many times the memory that lists need.
             if self.item.is_image() {
                 self.take_memory(publisher.id().value(), capacity, needed)?;
             }
@@ -89,8 +89,8 @@ impl SharedWriter {
         })
     }
 
-    /// What a full queue leads to: for a lossless reader of the pipeline to waiting, until it has room or is dead; for any
-    /// other to its loss of this message.
+    /// Reaction to a full queue: for a lossless reader of the pipeline the writer waits until there is room or the reader is
+    /// dead; any other reader loses this message.
     fn wait_for_room(&self) -> impl Fn(&BackpressureInfo) -> BackpressureAction + Send + use<> + 'static {
         let (messages, topic, room) = (Arc::clone(&self.messages), self.topic.clone(), Arc::clone(&self.room));
         let (config, stop, answers) = (self.config.clone(), self.stop.clone(), Arc::clone(&self.answers));
@@ -114,7 +114,7 @@ impl SharedWriter {
 }
 
 impl SharedWriter {
-    /// Waits until all readers have finished what this publisher keeps for them, or stand still.
+    /// Waits until all readers have finished the messages that this publisher keeps for them, or no longer make progress.
     fn await_finish(&mut self) {
         let Some(publisher) = &self.publisher else { return };
         let mut patience = Patience::new();
@@ -128,7 +128,7 @@ impl SharedWriter {
         }
     }
 
-    /// Lossless readers that have not taken a message yet; what their predecessors answered is forgotten.
+    /// Lossless readers that have not taken a message yet; acknowledgements of their predecessors are dropped.
     fn new_lossless_readers(&mut self) -> Vec<(u128, usize)> {
         let mut readers = lossless_readers(&self.messages, &self.topic);
         self.attached.retain(|port| readers.iter().any(|(reader, _)| reader == port));
@@ -140,9 +140,9 @@ impl SharedWriter {
         readers
     }
 
-    /// Waits until readers that are new have taken the message that was just sent. Before a reader looks into its queue
-    /// for the first time iceoryx2 does not count it as connected, and would drop what does not fit; and what a writer has sent
-    /// that is killed and cleared away before that look would be gone, although it was not its reader that died.
+    /// Waits until new readers have taken the message that was just sent. Until a reader first receives, iceoryx2 does not count
+    /// it as connected, and drops messages that do not fit. Messages of a writer that is killed and cleaned up before that would
+    /// be lost, too, although it was not their reader that died.
     fn await_first_sight(&mut self, mut new: Vec<(u128, usize)>) {
         while !new.is_empty() && !self.stop.forced() {
             let mut answers = std::mem::take(&mut *lock(&self.answers));
@@ -161,7 +161,7 @@ impl SharedWriter {
     }
 }
 
-/// Port and place of the lossless readers that are there now; ports are named after their stages.
+/// Port and index of the lossless readers that are connected now; ports are named after their stages.
 fn lossless_readers(messages: &Factory, topic: &Topic) -> Vec<(u128, usize)> {
     let mut found = Vec::new();
     messages.dynamic_config().list_subscribers(|reader| {
@@ -175,7 +175,7 @@ fn lossless_readers(messages: &Factory, topic: &Topic) -> Vec<(u128, usize)> {
 }
 
 fn clean_dead_nodes(config: &Config) {
-    // What cannot be listed or cleaned now is tried again at the next look.
+    // Failures are retried at the next check.
     Node::<Ipc>::list(config, |node| {
         if let NodeState::Dead(dead) = node {
             dead.try_remove_stale_resources().ok();
@@ -206,7 +206,7 @@ impl Writer for SharedWriter {
         untyped::set_header(&mut sample, header);
         let new = self.new_lossless_readers();
         sample.send().map_err(|error| if self.stop.forced() { PortError::Stopped } else { self.fault(error) })?;
-        // A reader that is not woken looks by itself at its next tick.
+        // A reader that is not woken polls at its next tick.
         self.wake.notify().ok();
         self.sent.iter_mut().for_each(|sent| sent.add(header));
         self.await_first_sight(new);
@@ -231,7 +231,7 @@ impl Writer for SharedWriter {
 
     fn catch_up(&mut self) {
         if let (Some(publisher), Some(_)) = (&self.publisher, &self.sent) {
-            // A reader that cannot be joined now is tried again at the next look.
+            // A failed connection is retried at the next call.
             publisher.update_connections().ok();
         }
     }

@@ -1,11 +1,11 @@
-//! What outlives the processes of the model: topics as iceoryx2 keeps them, the table of what is finished, and the records. The
-//! real input and output ports work on it through the same traits as on shared memory.
+//! The part of the model that outlives its processes: topics as iceoryx2 implements them, the table of acknowledgements, and the
+//! records. The real input and output ports work on it through the same traits as on shared memory.
 //!
-//! Of iceoryx2 it has what the protocol stands on, as read in its source. A writer joins readers when it sends or looks, and
-//! hands those that are new its history. A reader sees a writer when it is opened and whenever it receives: what a writer has
-//! sent that died and was cleared away before that is gone. Ports of dead processes stay until somebody clears them away; a
-//! reader first takes what is left of writers that were cleared away, and then from one writer after the other, in an order of
-//! places that are used again.
+//! It models those properties of iceoryx2 that the protocol relies on, as read in its source. A writer connects to readers when
+//! it sends or updates its connections, and sends its history to new ones. A reader finds writers when it is opened and whenever
+//! it receives: messages of a writer that died and was cleaned up before that are lost. Ports of dead processes stay until a
+//! process cleans them up. A reader first takes the remaining messages of cleaned-up writers, then those of one writer after the
+//! other, in the order of their slots, which are reused.
 
 use crate::item_type::ItemType;
 use crate::ports::{ConnectedReader, PortError, Reader, Received, Topic, Writer};
@@ -18,9 +18,9 @@ use std::hash::{Hash, Hasher};
 use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 
-/// The stages, in the order of the data.
+/// The stages, from source to sink.
 pub(super) const STAGES: [&str; 3] = ["source", "stage", "sink"];
-/// Messages that wait for a reader at most: it has credit for two then, and its writer keeps three.
+/// Queue length of a reader. Its credit is then two, and its writer keeps three messages.
 const QUEUE: usize = 1;
 
 /// The topics: the first is written by the first stage, the second by the second.
@@ -29,7 +29,7 @@ pub(super) static TOPICS: LazyLock<[Topic; 2]> = LazyLock::new(|| [0, 1].map(top
 static ITEM: ItemType = ItemType::of::<Object>();
 
 thread_local! {
-    /// The state whose next step is made on this thread.
+    /// The state on which the current step of this thread works.
     static MEMORY: RefCell<Memory> = RefCell::default();
 }
 
@@ -39,26 +39,26 @@ fn topic(place: usize) -> Topic {
     Topic { name: place.to_string(), item: None, writers: vec![STAGES[place].to_owned()], readers }
 }
 
-/// What the protocol would be with one part of it left out: the model has to find each of them.
+/// Variants of the protocol with one part left out. The model has to find a counterexample for each.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub(super) enum Fault {
     #[default]
     None,
-    /// Readers never say what they have finished.
+    /// Readers never acknowledge.
     NeverAcknowledges,
-    /// Readers say that a message is finished before they have sent what they made of it.
+    /// Readers acknowledge a message before they have sent their output for it.
     AcknowledgesFirst,
-    /// The end of a stream does not tell how many messages there were.
+    /// The end of a stream does not carry the number of messages.
     EndWithoutNumber,
-    /// Writers keep nothing for readers that come anew.
+    /// Writers keep no messages for restarted readers.
     KeepsNothing,
-    /// Writers do not wait until a reader has seen them.
+    /// Writers do not wait until a new reader has received a message from them.
     GoesOnUnseen,
-    /// A process that comes anew does not go on at the numbers of the one before it.
+    /// A restarted process does not continue the numbers of its predecessor.
     ForgetsRecord,
 }
 
-/// All that outlives a process.
+/// State that outlives the processes.
 #[derive(Clone, Debug, Default, Hash)]
 pub(super) struct Memory {
     pub(super) topics: [Channel; 2],
@@ -66,11 +66,12 @@ pub(super) struct Memory {
     /// `Handover::first` and `Handover::last`.
     pub(super) first_to_receive: Option<Watermark>,
     pub(super) last_worked_on: Option<Watermark>,
-    /// A message found no room, or was left out because a stage died of it twice.
+    /// Whether a message found no room in a queue. `left_out` counts messages that were skipped because a stage died on them
+    /// twice.
     pub(super) has_overflown: bool,
     pub(super) left_out: u8,
     pub(super) fault: Fault,
-    /// In which order a reader takes from several writers that are not cleared away.
+    /// Order in which a reader takes from several writers that were not cleaned up: newest first, or oldest first.
     pub(super) newest_first: bool,
 }
 
@@ -79,13 +80,13 @@ pub(super) struct Memory {
 pub(super) struct Channel {
     publishers: Vec<Publisher>,
     queues: Vec<Queue>,
-    /// The number of the first message that its reader has not finished.
+    /// Number of the first message that its reader has not finished.
     pub(super) finished: u64,
-    /// Which message was begun last, and how often.
+    /// Number of the message that was begun last, and how often it was begun.
     begun: (u64, u8),
-    /// The numbers of the messages that were worked on, in that order.
+    /// Numbers of the processed messages, in the order of processing.
     pub(super) worked_on: Vec<u64>,
-    /// Whether the last process that read it was told that it ended.
+    /// Whether the last process that read it received its end.
     pub(super) is_end_heard: bool,
 }
 
@@ -110,18 +111,18 @@ impl Hash for Record {
     }
 }
 
-/// The end of a topic that a process writes.
+/// Writer's port of a topic.
 #[derive(Clone, Debug, Hash)]
 struct Publisher {
     port: u8,
     is_dead: bool,
     history: VecDeque<ModelMessage>,
     joined: BTreeSet<u8>,
-    /// The numbers of the last messages that were no ends.
+    /// Numbers of the last messages, except ends of the stream.
     sent: VecDeque<u64>,
 }
 
-/// The end that a process reads.
+/// Reader's port of a topic.
 #[derive(Clone, Debug, Hash)]
 struct Queue {
     port: u8,
@@ -130,17 +131,17 @@ struct Queue {
     connections: Vec<Connection>,
 }
 
-/// What waits between two ends.
+/// Queue between two ports.
 #[derive(Clone, Debug, Hash)]
 struct Connection {
     publisher: u8,
     is_cleared: bool,
-    /// Whether its reader has taken a message from it.
+    /// Whether the reader has taken a message from it.
     is_seen: bool,
     messages: VecDeque<ModelMessage>,
 }
 
-/// A message without items, and without the times at which it was under way.
+/// A message without items and times.
 #[derive(Clone, Debug)]
 pub(super) struct ModelMessage(Arc<Header>);
 
@@ -160,7 +161,7 @@ impl Received for ModelMessage {
     }
 }
 
-/// Makes a step on what outlives the processes.
+/// Runs a step on this memory.
 pub(super) fn on<V>(memory: &mut Memory, step: impl FnOnce() -> V) -> V {
     MEMORY.replace(std::mem::take(memory));
     let value = step();
@@ -168,19 +169,19 @@ pub(super) fn on<V>(memory: &mut Memory, step: impl FnOnce() -> V) -> V {
     value
 }
 
-/// What outlives the processes, within a step.
+/// Accesses the memory within a step.
 pub(super) fn memory<V>(use_it: impl FnOnce(&mut Memory) -> V) -> V {
     MEMORY.with_borrow_mut(use_it)
 }
 
-/// What a stage can know of another one.
+/// State of a stage as other stages see it.
 pub(super) fn life(stage: &str) -> Option<Life> {
     let place = STAGES.iter().position(|name| *name == stage)?;
     Some(memory(|memory| memory.records[place].life))
 }
 
 impl Memory {
-    /// The ports of a process that was killed stay as they are.
+    /// A killed process leaves its ports as they are.
     pub(super) fn abandon(&mut self, stage: usize, process: u8) {
         if let Some(input) = stage.checked_sub(1) {
             let queues = self.topics[input].queues.iter_mut().filter(|queue| queue.port / 2 == process);
@@ -199,14 +200,14 @@ impl Memory {
         self.topics.iter_mut().for_each(|channel| channel.clear_away_if(|port| port == process));
     }
 
-    /// The same of its input alone.
+    /// Closes only the input of a process.
     pub(super) fn close_input(&mut self, stage: usize, process: u8) {
         if let Some(input) = stage.checked_sub(1) {
             self.topics[input].queues.retain(|queue| queue.port / 2 != process);
         }
     }
 
-    /// Whether ports of dead processes are left.
+    /// Whether dead processes have left ports.
     pub(super) fn has_dead(&self) -> bool {
         let is_dead = |channel: &Channel| {
             channel.queues.iter().any(|queue| queue.is_dead)
@@ -215,7 +216,7 @@ impl Memory {
         self.topics.iter().any(is_dead)
     }
 
-    /// Clears the ports of dead processes away.
+    /// Cleans up the ports of dead processes.
     pub(super) fn clear_away(&mut self) {
         for channel in &mut self.topics {
             channel.queues.retain(|queue| !queue.is_dead);
@@ -225,7 +226,7 @@ impl Memory {
 }
 
 impl Channel {
-    /// Whether the history of each living writer holds all that it has sent and its reader has not finished.
+    /// Whether the history of each living writer has all messages that it has sent and its reader has not finished.
     pub(super) fn keeps_all(&self) -> bool {
         let holds = |publisher: &Publisher, number: u64| publisher.history.iter().any(|kept| kept.0.number == number);
         let living = self.publishers.iter().filter(|publisher| !publisher.is_dead);
@@ -233,7 +234,7 @@ impl Channel {
         all.all(|(publisher, number)| number < self.finished || holds(publisher, number))
     }
 
-    /// Clears dead writers away: what a reader has not seen of them is gone.
+    /// Cleans up dead writers: the messages of a writer are lost for readers that have not found it yet.
     fn clear_away_if(&mut self, which: impl Fn(u8) -> bool) {
         let is_cleared = |publisher: &Publisher| publisher.is_dead && which(publisher.port);
         let cleared: Vec<u8> = self.publishers.iter().filter(|own| is_cleared(own)).map(|own| own.port).collect();
@@ -247,13 +248,13 @@ impl Channel {
         }
     }
 
-    /// Whether all readers that a writer has joined have taken a message from it.
+    /// Whether all readers that a writer has connected to have taken a message from it.
     pub(super) fn is_seen(&self, port: u8) -> bool {
         let mut connections = self.queues.iter().flat_map(|queue| &queue.connections);
         connections.all(|connection| connection.publisher != port || connection.is_seen)
     }
 
-    /// Joins a writer to readers that are new to it, and hands them its history.
+    /// Connects a writer to new readers, and sends them its history. Returns whether a queue overflowed.
     fn join(&mut self, port: u8, capacity: usize) -> bool {
         let Some(publisher) = self.publishers.iter_mut().find(|publisher| publisher.port == port) else { return false };
         let mut has_overflown = false;
@@ -270,18 +271,18 @@ impl Channel {
     }
 }
 
-/// How many messages wait for a reader at most, as [`SharedMemory::buffer_of`](crate::ports::shared_memory::SharedMemory) has it.
+/// Length of a reader's buffer, as in [`SharedMemory::buffer_of`](crate::ports::shared_memory::SharedMemory).
 fn capacity(topic: &Topic) -> usize {
     topic.kept() + topic.readers[0].credit()
 }
 
-/// Adds to the last ones, of which there are so many at most.
+/// Appends an item, and removes the oldest ones beyond `most`.
 fn push_last<T>(last: &mut VecDeque<T>, item: T, most: usize) {
     last.push_back(item);
     last.drain(..last.len().saturating_sub(most));
 }
 
-/// Reads a topic of the model.
+/// Reader of a topic of the model.
 #[derive(Clone, Debug)]
 pub(super) struct ModelReader {
     topic: usize,
@@ -289,7 +290,7 @@ pub(super) struct ModelReader {
 }
 
 impl ModelReader {
-    /// Opens the input of a process, or opens it again.
+    /// Opens the input of a process, for the first time or again.
     pub(super) fn open(stage: usize, process: u8, is_again: bool) -> Self {
         let (topic, port) = (stage - 1, 2 * process + u8::from(is_again));
         memory(|memory| {
@@ -353,7 +354,7 @@ impl Reader for ModelReader {
     }
 }
 
-/// Writes a topic of the model.
+/// Writer of a topic of the model.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ModelWriter {
     /// The stage that writes it.
@@ -370,7 +371,7 @@ impl Writer for ModelWriter {
         Ok(&mut [])
     }
 
-    /// As [`SharedWriter`](crate::ports::shared_memory::SharedWriter) does: the publisher is made for the first message.
+    /// As [`SharedWriter`](crate::ports::shared_memory::SharedWriter) does, it creates the publisher for the first message.
     fn send(&mut self, header: &Header) -> Result<usize, PortError> {
         let (topic, port) = (&TOPICS[self.stage], self.process);
         let mut header = *header;

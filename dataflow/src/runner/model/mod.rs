@@ -1,13 +1,12 @@
-//! A model of the protocol between the launcher, the processes of stages, and the topics between them, which `stateright` walks
-//! through in every order in which things can happen: a source, a stage and a sink, all lossless, of which processes are
-//! killed between any two steps and started anew, the stage is replaced, and the run is asked to end.
+//! A model of the protocol between the launcher, the stages' processes and their topics, which `stateright` explores in every
+//! possible order of events. It has a source, a stage and a sink, all lossless. Processes are killed between any two steps and
+//! restarted, the stage is replaced, and the run is asked to end.
 //!
-//! What takes and sends messages are the real [`InputPort`](super::input_port::InputPort) and
-//! [`OutputPort`](super::output_port::OutputPort), over [topics](memory) that are a model of iceoryx2. The
-//! [steps](process) of a process and those of the [launcher](run) are written down again from the functions that they name,
-//! because those wait. Time is left out: nobody is impatient, and whoever waits does so for ever. So a state in which nothing can
-//! happen any more, and which is not the end of the run, is a run that stands still or goes on only because somebody loses
-//! patience.
+//! Messages are taken and sent by the real [`InputPort`](super::input_port::InputPort) and
+//! [`OutputPort`](super::output_port::OutputPort), over [topics](memory) that model iceoryx2. The [steps](process) of a process
+//! and those of the [launcher](run) are rewritten from the functions that they name, because those block. There is no time: no
+//! wait has a timeout. A state without a possible event that is not the end of the run is therefore a run that stalls, or goes on
+//! only after a timeout.
 
 mod memory;
 mod process;
@@ -23,7 +22,7 @@ impl Model for Trial {
     type Action = Event;
 
     fn init_states(&self) -> Vec<Run> {
-        // The order matters only where two writers of a topic follow each other without being cleared away.
+        // The order matters only if a topic has two successive writers that were not cleaned up in between.
         let orders: &[bool] = if self.swaps > 0 { &[false, true] } else { &[false] };
         orders.iter().map(|newest_first| Run::new(self, *newest_first)).collect()
     }
@@ -44,7 +43,7 @@ impl Model for Trial {
                 run.is_over() || events.into_iter().any(|event| run.after(event, trial).is_some())
             }),
             Property::always("messages are worked on in order, and again only by another process", |_, run: &Run| {
-                // What a stage has sent before it died for the second time is read, and its number is used again.
+                // Messages that a stage sent before its second death may have been read, and their numbers are used again.
                 run.memory.left_out > 0 || works_in_order(run)
             }),
             Property::always("writers keep what is not finished", |_, run: &Run| {
@@ -52,7 +51,7 @@ impl Model for Trial {
             }),
             Property::always("there is room for all that is sent", |_, run: &Run| !run.memory.has_overflown),
             Property::always("what is lost is counted, and nothing else", |_, run: &Run| {
-                // What a process has sent that died before its record said so may have come nevertheless.
+                // Messages may have come although their sender died before it recorded them.
                 let may_have_come = run.memory.left_out > 0 || killed_stages(run) > 1;
                 let is_told = |topic| match may_have_come {
                     false => lost(run, topic) == counted(run, topic),
@@ -77,13 +76,14 @@ fn works_in_order(run: &Run) -> bool {
     })
 }
 
-/// Messages that were sent into a topic, as the record of its writer has it, and not worked on.
+/// Number of messages that were sent into a topic, by the record of its writer, and not processed.
 fn lost(run: &Run, topic: usize) -> u64 {
     let worked_on: BTreeSet<_> = run.memory.topics[topic].worked_on.iter().collect();
     (0..run.memory.records[topic].sent).filter(|number| !worked_on.contains(number)).count() as u64
 }
 
-/// Those that their reader has counted as lost; where its last process did not hear the end, what `Summary::lost_by` makes of it.
+/// Number of messages that the reader has counted as lost. If its last process did not receive the end, the same as in
+/// `Summary::lost_by`.
 fn counted(run: &Run, topic: usize) -> u64 {
     let (sent, counts) = (run.memory.records[topic].sent, &run.memory.records[topic + 1].counts);
     let never_came = if run.memory.topics[topic].is_end_heard { 0 } else { sent };
@@ -94,7 +94,8 @@ fn killed_stages(run: &Run) -> usize {
     run.kills.iter().filter(|kills| **kills > 0).count()
 }
 
-/// Walks through all states of a trial, and prints how each property that does not hold is broken; which ones these are.
+/// Explores all states of a trial, and prints a counterexample for each property that does not hold. Returns these properties,
+/// and the number of states.
 fn broken(trial: Trial) -> (Vec<&'static str>, usize) {
     let begin = std::time::Instant::now();
     let checker = trial.checker().threads(2).finish_when(HasDiscoveries::AnyFailures).spawn_bfs().join();
@@ -124,7 +125,7 @@ fn no_order_of_events_loses_anything_or_stands_still() {
     }
 }
 
-/// The same for longer: as long as it takes.
+/// The same for larger trials, which take minutes.
 #[test]
 #[ignore = "takes minutes"]
 fn no_longer_order_of_events_loses_anything_or_stands_still() {

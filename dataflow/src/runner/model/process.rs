@@ -19,16 +19,16 @@ pub(super) enum Exit {
     Killed,
 }
 
-/// Where a process is, each with the code that it stands for.
+/// Position of a process in its code.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) enum At {
     /// Before `stage_runtime`.
     Spawned,
-    /// `StageRuntime::enter` is over and the ports are open; `Stage::new` is at work.
+    /// After `StageRuntime::enter` and the opening of the ports, in `Stage::new`.
     Opened,
-    /// `StagePlace::look`; of a source `SourcePlace::is_due`.
+    /// `StagePlace::poll`; of a source `SourcePlace::is_due`.
     Looking,
-    /// Between `StagePlace::look` and `OutputPort::send`.
+    /// Between `StagePlace::poll` and `OutputPort::send`.
     Working,
     /// Between `OutputPort::send` and the record in `keep_counts`.
     Sent,
@@ -36,19 +36,19 @@ pub(super) enum At {
     Recorded,
     /// `OutputPort::await_finish`, in `end_each`.
     Finishing,
-    /// `OutputPort::tell`, in `end_each`.
+    /// `OutputPort::announce_end`, in `end_each`.
     Announcing,
     /// Before `set_life(Ended)` is in the record.
     Announced,
-    /// After that.
+    /// After `set_life(Ended)` is in the record.
     Ended,
-    /// `OutputPort::await_finish`, in `StagePlace::end` of one that leaves its place.
+    /// `OutputPort::await_finish`, in `StagePlace::end` of a stage that hands its place over.
     Left,
     /// `takeover::buffers_all`.
     Buffering,
     /// `Successor::await_turn`.
     Ready,
-    /// It has its turn.
+    /// After `Successor::await_turn` has returned.
     HasTurn,
 }
 
@@ -64,9 +64,9 @@ pub(super) struct Process {
     leaves_at: Option<Watermark>,
     input: Option<InputPort<ModelReader>>,
     in_hand: Option<ModelMessage>,
-    /// It has sent a message, and waits in `SharedWriter::await_first_sight`.
+    /// Whether it has sent a message, and waits in `SharedWriter::await_first_sight`.
     awaits_sight: bool,
-    /// Messages that its output has sent; of a source those that it has made, too.
+    /// Number of messages that its output has sent; for a source also that of messages made.
     sent: u64,
     announcement: EndAnnouncement,
 }
@@ -93,7 +93,7 @@ fn record<V>(stage: usize, change: impl FnOnce(&mut Record) -> V) -> V {
 
 impl Process {
     pub(super) fn spawn(stage: usize, number: u8, is_successor: bool) -> Self {
-        // No reader is away for longer than any patience.
+        // The deadline for absent readers is out of reach.
         let announcement = EndAnnouncement::until(Instant::now() + Duration::from_secs(1 << 20));
         Self {
             stage,
@@ -111,7 +111,7 @@ impl Process {
         }
     }
 
-    /// Makes the next step, if it need not wait; how it ended, if it has.
+    /// Makes the next step, unless it would block. Returns how the process ended, if it has.
     pub(super) fn step(&mut self, frames: u64) -> Option<Exit> {
         if self.awaits_sight && !memory(|memory| memory.topics[self.stage].is_seen(self.number)) {
             return None;
@@ -144,12 +144,12 @@ impl Process {
         None
     }
 
-    /// The input of a process that takes messages; the source has none.
+    /// Input of a process that reads messages; the source has none.
     fn input(&mut self) -> &mut InputPort<ModelReader> {
         self.input.as_mut().expect("only stages with an input come here")
     }
 
-    /// The real output port, which remembers nothing but how many messages it has sent.
+    /// A real output port. Its only state is the number of messages sent.
     fn output(&self) -> OutputPort<ModelWriter> {
         let writer = ModelWriter { stage: self.stage, process: self.number };
         let port = TOPICS.get(self.stage).map(|topic| (writer, topic.clone()));
@@ -164,7 +164,7 @@ impl Process {
         }
     }
 
-    /// `stage_runtime` and what opens the ports in `run_stage`: who makes an iceoryx2 node clears away what is dead.
+    /// `stage_runtime` and the opening of ports in `run_stage`. The creation of an iceoryx2 node cleans up dead processes.
     fn open(&mut self) {
         memory(|memory| memory.clear_away());
         if !self.is_successor {
@@ -178,7 +178,7 @@ impl Process {
         record(self.stage, |own| (own.life, own.process) = (Life::Starting, self.number));
     }
 
-    /// `StagePlace::begin`, `SourcePlace::begin`.
+    /// Models `StagePlace::begin` and `SourcePlace::begin`.
     fn begin(&mut self) {
         let counts = record(self.stage, |own| own.counts);
         let forgets = memory(|memory| memory.fault == Fault::ForgetsRecord);
@@ -192,7 +192,7 @@ impl Process {
         self.at = At::Looking;
     }
 
-    /// Makes the next frame and sends it, unless there is none.
+    /// Makes the next frame and sends it, or starts to finish if there is none.
     fn make(&mut self, frames: u64) {
         if self.sent >= frames || self.is_asked_to_end {
             self.at = At::Finishing;
@@ -204,7 +204,7 @@ impl Process {
         self.send(frame);
     }
 
-    /// `StagePlace::look`: whether the writers are gone is seen first, and stays so.
+    /// Models `StagePlace::poll`, which checks first whether the writers are gone.
     fn look(&mut self) {
         if self.may_leave() {
             return self.end();
@@ -253,7 +253,7 @@ impl Process {
         }
     }
 
-    /// `OutputPort::send`, where it would not wait: `await_readers` comes through at once then.
+    /// Models `OutputPort::send` if it would not block; `await_readers` then returns at once.
     fn send(&mut self, header: Header) {
         let mut output = self.output();
         if output.behind(TopicReader::credit).next().is_some() {
@@ -261,7 +261,7 @@ impl Process {
             return;
         }
         if output.absent_readers(false).next().is_some() {
-            // `await_readers` ends by `PortError::Stopped`.
+            // `await_readers` returns `PortError::Stopped`.
             self.at = if self.is_asked_to_end { At::Finishing } else { self.at };
             return;
         }
@@ -285,7 +285,7 @@ impl Process {
         self.at = if self.stage == 0 { At::Looking } else { At::Recorded };
     }
 
-    /// `StagePlace::end`.
+    /// Models `StagePlace::end`.
     fn end(&mut self) {
         if self.leaves_at.is_some() && !self.input().ended() {
             let worked_on = self.input().worked_on().clone();
@@ -302,12 +302,12 @@ impl Process {
         self.at = if self.stage < TOPICS.len() { At::Finishing } else { At::Announced };
     }
 
-    /// Whether a reader has not finished what this process keeps for it.
+    /// Whether a reader has not finished the messages that this process keeps for it.
     fn is_waited_for(&self) -> bool {
         self.output().behind(|_| 1).next().is_some()
     }
 
-    /// `OutputPort::await_finish`; no reader stands still for longer than its patience.
+    /// Models `OutputPort::await_finish` without its timeout.
     fn go_on_when_finished(&mut self, next: At) {
         if self.is_waited_for() {
             self.output().catch_up();
@@ -328,7 +328,7 @@ impl Process {
         self.await_sight();
     }
 
-    /// `takeover::buffers_all` and `Successor::is_ready`.
+    /// Models `takeover::buffers_all` and `Successor::is_ready`.
     fn buffer(&mut self) {
         self.input().buffer_newest().expect("the model's memory does not fail");
         let writer = STAGES[self.stage - 1];
@@ -339,7 +339,7 @@ impl Process {
         }
     }
 
-    /// The end of `takeover::take_place`, and in `run_stage` what follows from it.
+    /// Models the end of `takeover::take_place`, and what follows in `run_stage`.
     fn take_place(&mut self) {
         self.enter();
         match memory(|memory| memory.last_worked_on.clone()) {

@@ -1,46 +1,46 @@
-//! A state of the modelled run: its launcher, its stages with their processes, and what may happen next.
+//! A state of the modelled run: its launcher, its stages with their processes, and the possible next events.
 
 use super::memory::{Fault, Memory, STAGES, on};
 use super::process::{At, Exit, Process};
 use crate::status::Life;
 use std::hash::{DefaultHasher, Hash, Hasher};
 
-/// What is tried.
+/// Parameters of a check of the model.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Trial {
-    /// Frames of the source.
+    /// Number of frames of the source.
     pub(super) frames: u64,
-    /// Processes that are killed.
+    /// Maximum number of kills.
     pub(super) kills: u8,
-    /// Swaps of the stage between source and sink.
+    /// Maximum number of swaps of the middle stage.
     pub(super) swaps: u8,
-    /// Whether the run may be asked to end.
+    /// Whether the user may end the run.
     pub(super) is_interrupted: bool,
     pub(super) fault: Fault,
 }
 
-/// What happens next.
+/// An event of the run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Event {
-    /// The process at work in a stage makes a step.
+    /// The active process of a stage makes a step.
     Step(usize),
-    /// The process that is to take the place of the middle stage makes a step.
+    /// The successor of the middle stage makes a step.
     StepComing,
-    /// The launcher looks at a stage: `Supervised::look`.
+    /// The launcher checks a stage: `Supervised::look`.
     Look(usize),
-    /// The launcher goes on with the swap: `Swap::go_on`.
+    /// The launcher advances the swap: `Swap::go_on`.
     GoOn,
-    /// Somebody clears dead processes away: `clean_dead_nodes`.
+    /// Any process cleans up dead processes: `clean_dead_nodes`.
     ClearAway,
     Kill(usize),
     KillComing,
-    /// The launcher is asked to end the run: `Launcher::stop_sources`.
+    /// The user ends the run: `Launcher::stop_sources`.
     Interrupt,
-    /// The launcher is asked to replace the middle stage: `Swap::begin`.
+    /// The user replaces the middle stage: `Swap::begin`.
     Swap,
 }
 
-/// `child::State`.
+/// Models `child::State`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum State {
     Running,
@@ -57,7 +57,7 @@ struct Stage {
     starts: u8,
 }
 
-/// `swap::Step`.
+/// Models `swap::Step`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Swap {
     None,
@@ -66,10 +66,10 @@ enum Swap {
     Beginning,
 }
 
-/// The stage that is swapped.
+/// Index of the stage that is swapped.
 const MIDDLE: usize = 1;
 
-/// A state of the run; two are the same for the checker if their fingerprints are.
+/// A state of the run; the checker takes two for the same if their fingerprints are equal.
 #[derive(Clone, Debug)]
 pub(super) struct Run {
     pub(super) memory: Memory,
@@ -77,10 +77,10 @@ pub(super) struct Run {
     swap: Swap,
     coming: Option<Process>,
     is_ending: bool,
-    /// How often each stage was killed.
+    /// Number of kills of each stage.
     pub(super) kills: [u8; 3],
     swaps: u8,
-    /// The hash of all the rest.
+    /// Hash of all other fields.
     fingerprint: u64,
 }
 
@@ -122,7 +122,7 @@ impl Run {
         self.stages.iter().all(|stage| stage.state == State::Done)
     }
 
-    /// What can be tried next; what would change nothing is found out by trying.
+    /// Appends the possible next events, including some that change nothing.
     pub(super) fn events(&self, trial: &Trial, events: &mut Vec<Event>) {
         if self.is_over() {
             return;
@@ -150,7 +150,7 @@ impl Run {
         }
     }
 
-    /// The state after an event, if that changes anything.
+    /// The state after an event; `None` if it changes nothing.
     pub(super) fn after(&self, event: Event, trial: &Trial) -> Option<Self> {
         let mut next = self.clone();
         match event {
@@ -199,12 +199,12 @@ impl Run {
         self.memory.records[stage].life = life;
     }
 
-    /// Whether a stage that ended is not to come back: `Supervised::look` in `Phase::Delivering`.
+    /// Whether a stage that ended is not restarted: `Supervised::look` in `Phase::Delivering`.
     const fn stays_away(&self, stage: usize) -> bool {
         self.is_ending && stage == 0
     }
 
-    /// `Supervised::look`, `Supervised::ended`.
+    /// Models `Supervised::look` and `Supervised::ended`.
     fn look(&mut self, stage: usize) {
         let decides_about_exit = matches!(self.swap, Swap::Leaving | Swap::Beginning);
         if decides_about_exit && stage == MIDDLE {
@@ -223,7 +223,7 @@ impl Run {
                 }
             }
             State::Waiting if self.stays_away(stage) => self.stay_away(stage),
-            // `Launcher::replace` comes between two looks, and gives the swap up.
+            // `Launcher::replace` runs between two checks, and gives the swap up.
             State::Waiting if stage == MIDDLE && self.swap == Swap::Preparing => {}
             State::Waiting => {
                 let own = &mut self.stages[stage];
@@ -240,7 +240,7 @@ impl Run {
         self.life(stage, Life::Gone);
     }
 
-    /// SIGINT to the source; one that does not listen yet dies of it.
+    /// Sends SIGINT to the source; a process that has no handler yet dies.
     fn interrupt(&mut self) {
         self.is_ending = true;
         let source = &mut self.stages[0];
@@ -251,14 +251,14 @@ impl Run {
         }
     }
 
-    /// Whether the record says that the process of the stage is at work, or has been: `swap::is_at_work`.
+    /// Whether the record says that the process of the middle stage is, or was, at work: `swap::is_at_work`.
     fn is_at_work(&self) -> bool {
         let (own, record) = (&self.stages[MIDDLE], &self.memory.records[MIDDLE]);
         let process = own.process.as_ref().map_or(own.starts - 1, |process| process.number);
         record.process == process && record.life != Life::Starting
     }
 
-    /// `Swap::begin`.
+    /// Models `Swap::begin`.
     fn begin_swap(&mut self) {
         let own = &mut self.stages[MIDDLE];
         if self.swap != Swap::None || own.state != State::Running || self.is_ending {
@@ -274,7 +274,7 @@ impl Run {
         }
     }
 
-    /// `Swap::go_on`.
+    /// Models `Swap::go_on`.
     fn go_on(&mut self) {
         let is_at_work = self.is_at_work();
         let at_work = &mut self.stages[MIDDLE];
@@ -307,7 +307,7 @@ impl Run {
         }
     }
 
-    /// `Successor::dismiss`.
+    /// Models `Successor::dismiss`.
     fn dismiss(&mut self) {
         if let Some(coming) = self.coming.take() {
             self.memory.close(MIDDLE, coming.number);
@@ -315,7 +315,7 @@ impl Run {
         self.swap = Swap::None;
     }
 
-    /// `swap::take_place`.
+    /// Models `swap::take_place`.
     fn take_place(&mut self) {
         let own = &mut self.stages[MIDDLE];
         own.process = self.coming.take();
