@@ -13,7 +13,6 @@ use nalgebra::{SMatrix, SVector};
 /// F is a distance only where its gradient is 1, and a quadric with a vanishing gradient would have vanishing squares. So a
 /// multiple of F is subtracted from each allowed change, such that the gradient in the middle of the visible part stays the same.
 /// Points are linear in the rest, so one step suffices; the contour is nearly linear.
-/// linear in what is left, and one step is enough; the contour is nearly so.
 pub fn departure<S: Surface<N>, const N: usize, const K: usize, const M: usize>(
     moments: &QuadricMoments,
     contour: &Contour,

@@ -20,7 +20,8 @@ const EXPONENTS: [[usize; 2]; MOMENTS] = {
     table
 };
 
-/// For s and t: pairs of moments, to each of which a share of the second is added as the origin moves along it, in this order.
+/// For s and t: pairs of moments, to the first of which a share of the second is added as the origin moves along that axis, in
+/// this order.
 const SHIFTS: [[[usize; 2]; 20]; 2] = [shifts(&EXPONENTS, 0), shifts(&EXPONENTS, 1)];
 
 /// Returns the pairs `[to, from]` of moments, in order, such that adding a share of `from` to `to` moves the origin along an

@@ -152,7 +152,7 @@ mod tests {
         (arcs, members)
     }
 
-    /// A candidate with so many points.
+    /// A candidate with this number of points.
     fn candidate<'a>(arcs: &'a Arcs, members: &'a [usize], kind: ObjectKind, points: f64) -> Candidate<'a> {
         let model = model::fit(kind, &arcs.of(members), None, f64::INFINITY).unwrap();
         let (count, lines, angle, extent) = (points as u32, members.len() as u32, 2.0, [-0.25, 0.25]);

@@ -50,7 +50,7 @@ const EDGE_WIDTH: f64 = 2.0; // [measured]
 const STILL: f64 = 3.0; // [sigmas]
 /// Weight of the prior of `NewShare`, in pairs of images: the prior is that images of one object do not differ.
 const UNCOMPARED: f64 = 10.0; // [algorithmic]
-/// An object that was not seen in so many images counts as another object when it is seen again, which bounds the work.
+/// Number of images without an object after which it counts as another one when it is seen again, which bounds the work.
 const RECENT_IMAGES: u32 = 30; // [algorithmic]
 
 /// Fits models to contours, one object after another, with the bias and noise that earlier objects showed.
@@ -114,7 +114,7 @@ impl NewShare {
         Self { squares: self.squares * times, pairs: self.pairs * times }
     }
 
-    /// Returns the number of independent images that so many images of one object are worth.
+    /// Returns how many independent images this number of images of one object is worth.
     fn count(&self, images: f64) -> f64 {
         let share = (self.squares / (self.pairs + UNCOMPARED)).min(1.0);
         1.0 / (1.0 - share + share / images)

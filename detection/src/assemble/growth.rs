@@ -32,7 +32,7 @@ const MAX_GAP_SHARE: f64 = 0.5; // [tuned]
 /// chance, such as a line of the lid of a can where its far wall would be.
 const MIN_LINES_PER_GAP_LINE: f64 = 0.1; // [tuned]
 
-/// A model whose radius exceeds its limit by so many standard deviations is a wall.
+/// Standard deviations by which a radius has to exceed its limit for the model to count as a wall.
 const TOO_LARGE: f64 = 4.0; // [sigmas]
 
 /// Gate on the residuals of an arc from a model to which it may belong.
@@ -404,7 +404,7 @@ mod tests {
         assert_eq!([grown(4), grown(5)], [None, Some(5)]);
     }
 
-    /// The limit on the mean square is half a variance plus three times the standard deviation for so many points.
+    /// The limit on the mean square is half a variance plus three times the standard deviation for this number of points.
     #[test]
     fn a_first_model_leaves_no_more_of_its_points_than_noise_and_a_little_accounts_for() {
         let (mut arcs, [left, _]) = two_cans();

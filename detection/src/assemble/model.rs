@@ -179,7 +179,7 @@ pub(super) fn pool_within(region: &Region, edge_px: f64) -> SpaceMoments {
         pool.add(arc.space(), weight);
         arc.outside(&q, edge_px).for_each(|point| pool.add(&point, -weight));
     }
-    // If most lines lie at the edge, there are no better ones: keeps them all.
+    // If most lines lie at the edge, the object shows nothing better: they are not left out.
     if 2 * left_out > region.members.len() { pool_within(region, 0.0) } else { pool }
 }
 

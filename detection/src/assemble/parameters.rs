@@ -73,10 +73,10 @@ pub struct PooledParameters {
     /// Smallest half-angle of a cone, in degrees; a smaller one does not distinguish it from a cylinder.
     #[schemars(range(min = 0.0, max = 45.0))]
     pub min_half_angle_deg: f64,
-    /// Time for the ellipses of one image, in milliseconds of the clock, after which no further objects are searched; 0: no
-    /// limit. Default: 30 where the stage takes the newest message (`latest`), so that it keeps up with 30 images a second; no
-    /// limit where it takes each (`lossless`), nor in the library. Strongly curved ellipses come first, but later where growth
-    /// from the same surface failed before. With a limit the same image may give other objects on a busy machine.
+    /// Time for the ellipses of one image, in milliseconds of the clock, after which the search for objects ends; 0: no limit.
+    /// Default: 30 where the stage takes the newest message (`latest`), so that it keeps up with 30 images a second; no limit
+    /// where it takes each (`lossless`), nor in the library. Strongly curved ellipses come first, but later where growth from the
+    /// same surface failed before. With a limit the same image may give other objects on a busy machine.
     #[schemars(range(min = 0.0, max = 10_000.0))]
     pub budget_ms: Option<f64>,
     /// Number of images for which an object's evidence on the errors of silhouettes counts after it was last seen in its place;

@@ -29,7 +29,7 @@ fn front(object: &Object) -> Vector3 {
     middle - across.try_normalize(0.0).unwrap_or_default() * object.radius
 }
 
-/// Returns whether this point of `inner` surely lies in `outer`: it is at least so many standard deviations away from each
+/// Returns whether this point of `inner` surely lies in `outer`: at least [`INSIDE_SIGMAS`] standard deviations away from each
 /// surface of `outer`.
 fn holds(outer: &Object, inner: &Object, point: Vector3) -> bool {
     let covariance = [outer, inner].map(|object| Matrix3::from(object.sigma.center)).iter().sum::<Matrix3<f64>>();

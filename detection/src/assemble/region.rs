@@ -48,7 +48,7 @@ impl<'a> Region<'a> {
     pub fn gradient_noise<S: Surface<N>, const N: usize>(&self, fit: &SurfaceFit<S, N>) -> GradientNoise<N> {
         let q = self.model.coefficients();
         let stride = self.members.len().div_ceil(ARCS);
-        // Each of these arcs represents so many.
+        // Each sampled arc represents this many arcs.
         let times = self.members.len() as f64 / self.members.len().div_ceil(stride) as f64;
         let mut noise = GradientNoise::new(&fit.surface);
         for arc in self.arcs().step_by(stride) {

@@ -15,7 +15,7 @@ use std::time::Instant;
 /// ones; furnished rooms, seen by a Kinect, 106, 106 and 108 of 114, with 8, 10 and 13 wrong ones.
 pub(super) const MAX_VAIN: usize = 10; // [measured]
 /// Distance beyond the visible ends of an object within which arcs are tested for belonging to it, in radii; arcs farther off
-/// hardly ever do.
+/// hardly ever belong to it.
 const SPARE_REACH: f64 = 1.5; // [algorithmic]
 /// Limit on the mean square residual of such an arc of the object, in variances of a point.
 const SPARE_SQUARE: f64 = 4.0; // [sigmas]

@@ -18,7 +18,8 @@ const WHOLE_BEND_SIGMAS: f64 = 0.5; // [sigmas]
 const WEAK_POINTS: usize = 16; // [tuned]
 /// Fewest points of an arc that is kept although noise bends it the wrong way, because jumps separate it from its surroundings.
 const MIN_SET_OFF_POINTS: usize = 6; // [tuned]
-/// One point in so many is trimmed from each end, besides `trim_px`: the larger an edge appears, the wider it is smeared.
+/// One point for each of this many is trimmed from each end, besides `trim_px`: the larger an edge appears, the wider it is
+/// smeared.
 const POINTS_PER_SMEARED: usize = 32; // [tuned]
 /// Radius of a circle that is indistinguishable from a line, in metres.
 const STRAIGHT_M: f64 = 500.0; // [algorithmic]

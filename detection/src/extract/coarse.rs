@@ -8,7 +8,7 @@ use conicflow_geometry::{PlaneMoments, ScanPlane, bulge};
 use conicflow_messages::Ellipse;
 use std::ops::Range;
 
-/// One line in so many is searched as a whole. The step is less than `min_lines` of the assembler, so that no object lies
+/// Step between the lines that are searched as a whole. It is less than `min_lines` of the assembler, so that no object lies
 /// between.
 const COARSE_STEP: u32 = 6; // [algorithmic]
 /// Least bulge of a curved arc, which opens windows, as chi squared: noise gives as much to one straight arc in 13.

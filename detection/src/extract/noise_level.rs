@@ -47,7 +47,7 @@ const SQUARE_OF_SMOOTH: f64 = 0.101_53; // [derived]
 const DISTANT: f64 = 1.15; // [algorithmic]
 /// Fewest standard deviations by which the logarithm of the ratio of the noise levels of both halves has to differ from zero.
 const SURE: f64 = 3.5; // [sigmas]
-/// [`NoiseSamples::range`] leaves out one in so many samples at either end.
+/// [`NoiseSamples::range`] leaves out one sample in this many at either end.
 const OUTER: usize = 20; // [algorithmic]
 /// Most rounds of fitting a noise model to both halves, or of fitting curves with a new level: each round comes closer to the
 /// noise.

@@ -174,12 +174,12 @@ fn cells_of(view: &View, half: u32) -> [usize; 2] {
     [view.length, view.lines].map(|pixels| (pixels / half) as usize)
 }
 
-/// Returns the part of the noise of so many independent points that a plane fitted to them, with three parameters, leaves.
+/// Returns the part of the noise that the fit of a plane, with three parameters, leaves at this number of independent points.
 fn kept(independent: f64) -> f64 {
     1.0 - (3.0 / independent).min(MOST_TAKEN)
 }
 
-/// Returns the sums of a cell with a side of so many pixels.
+/// Returns the sums of a cell with this side in pixels.
 fn sums(view: &View, image: &[u16], corner: [u32; 2], side: u32) -> CellSums {
     let (step, middle) = ((2 * side / SAMPLES) as usize, 0.5 * f64::from(side));
     let samples = (step / 2..side as usize).step_by(step);
@@ -422,7 +422,7 @@ mod tests {
     #[test]
     fn a_square_that_lacks_more_of_its_pixels_than_it_may_is_not_looked_at() {
         let squares_with = |(missing, measured): (u32, f64)| {
-            // So many pixels are missing in each block of 12 x 12, which is a quarter of a square.
+            // `missing` pixels are missing in each block of 12 x 12, which is a quarter of a square.
             let is_missing = |x: u32, y: u32| y % 12 * 12 + x % 12 < missing;
             let image = image(|x, y| if is_missing(x, y) { 0.0 } else { 1.0 / nearness(x, y) });
             squares(&image, 24, measured).len()

@@ -33,8 +33,8 @@ use nalgebra::IsometryMatrix3;
 use target::Target;
 use timeline::{Advance, Timeline};
 
-/// Factor on the usual gap between two frames of a camera, the previous one: a target survives a gap up to this long even beyond
-/// `max_coast_s`, because no frame could show it earlier.
+/// A gap between two frames of a camera is usual if it is at most this many times the previous one: no frame could show a target
+/// sooner. Through a usual gap a target is kept even beyond `max_coast_s`.
 const USUAL_GAP: f64 = 1.5; // [tuned]
 
 /// Tracks objects from frame to frame, for one camera or for several cameras with poses.

@@ -14,12 +14,12 @@ use nalgebra::{IsometryMatrix3, Matrix3, Point3, Vector3};
 /// seven.
 const KIND_CHANGE_COST: f64 = 4.0; // [tuned]
 
-/// Longest time for which a target may be unobserved and still be found by its manoeuvre, in seconds: after that it may be
+/// Longest time for which a target may be unseen and still be found as one that was pushed, in seconds: after that it may be
 /// anywhere.
 const MANOEUVRE_UNSEEN_S: f64 = 0.2; // [tuned]
 
-/// Upper bound of `Target::sense`: after so many sightings one more than as many opposite ones turn the axis of a cone over,
-/// however often it was seen.
+/// Upper bound of `Target::sense`: however often the axis of a cone was seen one way, this many opposite sightings and one more
+/// turn it over.
 const SURE_OF_SENSE: u32 = 10; // [algorithmic]
 
 /// Lower bound of the half-angle from which the apex of a cone is computed, in radians, which keeps the apex finite.
