@@ -1,4 +1,4 @@
-//! Cameras, poses and scan lines of messages, as the mathematics wants them.
+//! Converts cameras, poses and scan lines of messages to the types of `geometry`.
 
 use conicflow_geometry::{Pinhole, Scan};
 use conicflow_messages::{self as messages, Camera, ConfigFault, Ellipse};
@@ -25,29 +25,29 @@ pub struct Intrinsics {
 }
 
 impl Intrinsics {
-    /// The camera with these intrinsics and images of that size.
+    /// Returns the camera with these intrinsics and this size of images.
     pub fn camera(self, (width, height): (u32, u32)) -> Camera {
         Camera { width, height, fx: self.fx, fy: self.fy, cx: self.cx, cy: self.cy }
     }
 
-    /// Whether they are numbers that a camera can have.
+    /// Returns whether a camera can have these numbers.
     pub fn are_usable(&self) -> bool {
         self.camera((1, 1)).has_intrinsics()
     }
 
-    /// What is wrong with them, as the parameter `intrinsics`.
+    /// Returns the fault of the parameter `intrinsics`, if any.
     pub fn fault(&self) -> Option<ConfigFault> {
         let what = "need fx and fy of 1 to 1,000,000 pixels, and no larger cx and cy";
         (!self.are_usable()).then(|| ConfigFault::new("intrinsics", what, "take them from the camera's calibration"))
     }
 }
 
-/// The rays of a camera.
+/// Returns the pinhole model of a camera.
 pub fn pinhole(camera: &Camera) -> Pinhole {
     Pinhole { fx: camera.fx, fy: camera.fy, cx: camera.cx, cy: camera.cy }
 }
 
-/// The direction of an ellipse's scan line.
+/// Returns the direction of an ellipse's scan line.
 pub fn scan(ellipse: &Ellipse) -> Scan {
     match ellipse.direction() {
         messages::Scan::Row => Scan::Row,
@@ -55,7 +55,7 @@ pub fn scan(ellipse: &Ellipse) -> Scan {
     }
 }
 
-/// A pose from its rows `[R | t]`, whose R is a rotation: the border has checked that.
+/// Returns a pose from its rows `[R | t]`; the receiver of the message has checked that R is a rotation.
 pub fn isometry(rows: &[[f64; 4]; 3]) -> IsometryMatrix3<f64> {
     let rotation = Matrix3::from_fn(|row, column| rows[row][column]);
     let translation = Translation3::new(rows[0][3], rows[1][3], rows[2][3]);

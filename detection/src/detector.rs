@@ -1,4 +1,4 @@
-//! The detector: a camera and its noise model, and then depth images in, objects out.
+//! The detector: takes depth images of one camera, returns objects.
 
 use crate::assemble::odds::Evidence;
 use crate::assemble::{Assembler, AssemblerParameters};
@@ -8,28 +8,29 @@ use conicflow_messages::{Camera, Header, Item, NoiseModel, Object, finest_scale,
 
 /// Finds spheres, cylinders and cones in the depth images of one camera, one after another.
 ///
-/// What objects show of where this camera puts silhouettes is used for the next images: the same images in the same order give
-/// the same objects to the bit, another order gives slightly others. [`alone`](Self::alone) looks at each image by itself.
+/// Later images benefit from the errors of silhouettes that objects in earlier images showed. So the same images in the same
+/// order give bitwise the same objects, and in another order slightly different ones. [`alone`](Self::alone) processes each image
+/// independently.
 ///
-/// Without [`noise`](Self::noise) the sensor is taken for a Kinect v1, as the sources of a pipeline take it. Each image
-/// tells how noisy it is, so that a model which is not quite right costs little; but no sensor is ideal.
+/// Without [`noise`](Self::noise) the sensor counts as a Kinect v1, as in the sources of a pipeline. The noise level is estimated
+/// from each image, so a model that is slightly wrong costs little; but no sensor is ideal.
 #[derive(Debug)]
 pub struct Detector {
     header: Header,
     extractor: Extractor,
     assembler: Assembler,
-    /// An image in metres, in units.
+    /// An image that came in metres, converted to units.
     units: Vec<u16>,
-    /// How many of its pixels were farther than units reach.
+    /// Number of its pixels that were beyond the range of units.
     too_far: u64,
-    /// Whether each image is looked at as if it were the first.
+    /// Whether each image is processed as if it were the first.
     alone: bool,
 }
 
-/// Why an image cannot be looked at.
+/// Reason why an image cannot be processed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DetectError {
-    /// The image has not as many pixels as the camera.
+    /// The image and the camera differ in their number of pixels.
     #[error(
         "the depth image has {actual} pixels, but the camera has {width}x{height}\n  hint: give it row by row and in whole, \
          without padding, and check the camera's width and height"
@@ -42,7 +43,7 @@ pub enum DetectError {
         /// Rows of the camera.
         height: u32,
     },
-    /// Numbers that no camera can have.
+    /// The header has numbers that no camera can have.
     #[error(
         "the image, the camera, the depth scale or the noise cannot be used: {0}\n  hint: focal lengths are in pixels, the \
          depth scale is in metres per unit (0.001 for millimetres)"
@@ -51,7 +52,7 @@ pub enum DetectError {
 }
 
 impl Detector {
-    /// A detector for the images of this camera, in millimetres, with the noise of a Kinect v1.
+    /// Creates a detector for images of this camera in millimetres, with the noise of a Kinect v1.
     pub fn new(camera: Camera) -> Self {
         Self {
             header: Header { camera, depth_scale: 0.001, noise: NoiseModel::KINECT_V1, ..Header::default() },
@@ -63,21 +64,21 @@ impl Detector {
         }
     }
 
-    /// The same detector for a sensor of this depth noise.
+    /// Sets the depth noise of the sensor.
     #[must_use]
     pub fn noise(mut self, noise: NoiseModel) -> Self {
         self.header.noise = noise;
         self
     }
 
-    /// The same detector for images whose pixels count `metres_per_unit`: 0.001 for millimetres.
+    /// Sets the size of a pixel's unit: 0.001 for millimetres.
     #[must_use]
     pub fn depth_scale(mut self, metres_per_unit: f64) -> Self {
         self.header.depth_scale = metres_per_unit;
         self
     }
 
-    /// The same detector with other parameters, those of the stages `row_ellipse_extractor` and `object_assembler`.
+    /// Sets the parameters of the stages `row_ellipse_extractor` and `object_assembler`.
     #[must_use]
     pub fn parameters(mut self, extractor: ExtractorParameters, assembler: AssemblerParameters) -> Self {
         self.extractor = Extractor::new(extractor);
@@ -85,7 +86,7 @@ impl Detector {
         if self.alone { self.alone() } else { self }
     }
 
-    /// The same detector, but each image is looked at as if it were the first (`contour_memory = 0`).
+    /// Processes each image as if it were the first (`contour_memory = 0`).
     #[must_use]
     pub fn alone(mut self) -> Self {
         self.alone = true;
@@ -93,7 +94,7 @@ impl Detector {
         self
     }
 
-    /// Makes sure that there can be images of this camera, as [`try_detect`](Self::try_detect) does with each.
+    /// Checks that images of this camera can exist, as [`try_detect`](Self::try_detect) does with each.
     ///
     /// # Errors
     /// The camera, the depth scale or the noise has numbers that no camera can have.
@@ -101,8 +102,8 @@ impl Detector {
         check(&self.header)
     }
 
-    /// The objects of a depth image, in the camera frame: `width * height` pixels, row by row, in units of the depth scale;
-    /// 0 and 65535 are no measurement.
+    /// Returns the objects of a depth image, in the camera frame. The image has `width * height` pixels, row by row, in units of
+    /// the depth scale; 0 and 65535 mean no measurement.
     ///
     /// # Panics
     /// The image has another size than the camera, or the camera has numbers that no camera can have;
@@ -113,8 +114,8 @@ impl Detector {
         objects.unwrap_or_default()
     }
 
-    /// The objects of a depth image in metres; what is not finite or not above zero is no measurement, and so is what is
-    /// farther than 16.38 m. The depth scale does not matter.
+    /// Returns the objects of a depth image in metres, whatever the depth scale. Values that are not finite or not positive, or
+    /// beyond 16.38 m, mean no measurement.
     ///
     /// # Panics
     /// As [`detect`](Self::detect) does.
@@ -124,7 +125,7 @@ impl Detector {
         objects.unwrap_or_default()
     }
 
-    /// What [`detect`](Self::detect) returns.
+    /// Returns the objects as [`detect`](Self::detect) does.
     ///
     /// # Errors
     /// The image has another size than the camera, or the camera has numbers that no camera can have.
@@ -133,7 +134,7 @@ impl Detector {
         self.detect_with(&header, depth)
     }
 
-    /// What [`detect_f32`](Self::detect_f32) returns.
+    /// Returns the objects as [`detect_f32`](Self::detect_f32) does.
     ///
     /// # Errors
     /// As of [`try_detect`](Self::try_detect).
@@ -159,19 +160,19 @@ impl Detector {
         Ok(method::detect(&mut self.extractor, &mut self.assembler, header, image).to_vec())
     }
 
-    /// Standard deviations of what was near and of what was far in the last image, in those of the noise model: far from 1
-    /// the model is not that of the sensor.
+    /// Returns the standard deviations of the noise in the near and in the far half of the last image, relative to the noise
+    /// model. If they are far from 1, the model does not fit the sensor.
     pub fn noise_ratios(&self) -> [f64; 2] {
         self.extractor.noise_ratios()
     }
 
-    /// All candidates of the last image, reported or not, with what spoke for each and against it.
+    /// Returns all candidates of the last image, reported or not, with the evidence for and against each.
     pub fn candidates(&self) -> &[(Object, Evidence)] {
         self.assembler.candidates()
     }
 
-    /// Why arcs and candidates of the last image were turned down, and how many of them; and how many pixels were farther than
-    /// 16.38 m, where that is told in metres: all of them, if they were millimetres.
+    /// Returns the reasons for which arcs and candidates of the last image were rejected, each with its number; also the number
+    /// of pixels beyond 16.38 m in an image in metres. If these are all pixels, the image was in millimetres.
     pub fn rejections(&self) -> impl Iterator<Item = (&'static str, u64)> {
         let too_far = (self.too_far > 0).then_some(("pixels farther than 16.38 m", self.too_far));
         too_far.into_iter().chain(self.extractor.rejections()).chain(self.assembler.rejections())
@@ -212,7 +213,7 @@ mod tests {
         let (header, pixels) = scene();
         let with_parameters =
             |detector: Detector| detector.parameters(ExtractorParameters::default(), AssemblerParameters::default());
-        // In whichever order it is said.
+        // The order of the two calls does not matter.
         let [last, first] = [with_parameters(detector(&header)).alone(), with_parameters(detector(&header).alone())];
         for mut detector in [last, first] {
             let first = detector.detect(&pixels);
@@ -220,15 +221,15 @@ mod tests {
         }
     }
 
-    /// Images of balls before a wall, each in a place of its own.
+    /// Images of balls before a wall, each at its own place.
     fn balls() -> Vec<(Header, Vec<u16>)> {
         let place = |seed: u64| Vector3::new(0.3 * (seed % 8) as f64 - 1.05, 0.3 * (seed / 8) as f64 - 0.6, 2.6);
         let bodies = |seed: u64| [sphere(place(seed), 0.1), plane(Vector3::z(), 3.5)];
         (0..40).map(|seed| render(KINECT_HALF, NoiseModel::KINECT_V1, &bodies(seed), seed)).collect()
     }
 
-    /// The image with what is nearer than three metres narrower by some pixels on either side of each row, because the sensor
-    /// loses what it grazes.
+    /// The image with everything nearer than three metres narrowed by some pixels on either side of each row, because the sensor
+    /// loses pixels at grazing incidence.
     fn narrowed((header, pixels): &(Header, Vec<u16>), by: impl Fn(usize) -> usize) -> Vec<u16> {
         let is_far = |z: u16| f64::from(z) * header.depth_scale > 3.0;
         let narrow = |(number, row): (usize, &[u16])| -> Vec<u16> {

@@ -1,16 +1,16 @@
-//! Where up is, for the stages that reckon with gravity or with the ground.
+//! The direction of up, for stages that use gravity or the ground.
 
 use conicflow_messages::ConfigFault;
 use nalgebra::Vector3;
 
-/// The unit vector upwards: `up` where it is said, else the world's z where frames carry a pose, else against y of the
-/// camera's optical frame, as of a camera that is held level.
+/// Returns the unit vector upwards: `up` if given, else the world's z if frames carry a pose, else the negative y of the camera's
+/// optical frame, as for a camera that is held level.
 pub fn unit(up: Option<[f64; 3]>, has_pose: bool) -> Vector3<f64> {
     let level = if has_pose { Vector3::z() } else { -Vector3::y() };
     up.and_then(|up| Vector3::from(up).try_normalize(1e-9)).unwrap_or(level) // [algorithmic]
 }
 
-/// What is wrong with a vector upwards, of the parameter `key`.
+/// Returns the fault of a vector `up` that is no direction; `key` names its parameter.
 pub fn fault(key: &'static str, up: Option<[f64; 3]>) -> Option<ConfigFault> {
     let up = up.filter(|up| !Vector3::from(*up).norm().is_normal())?;
     Some(ConfigFault {

@@ -12,9 +12,9 @@
 //! assert!(objects.is_empty() && tracks.is_empty(), "a wall is none of them");
 //! ```
 //!
-//! [`Detector`] is the door; the method itself is read in one place, `method.rs`: a depth image becomes ellipses
-//! ([`extract`]), ellipses become objects ([`assemble`]). [`Tracker::update`] makes objects into tracks ([`track`]). The
-//! files of each folder stand in the order of its steps.
+//! [`Detector`] is the entry point; `method.rs` shows the whole method in one place: a depth image becomes ellipses
+//! ([`extract`]), ellipses become objects ([`assemble`]). [`Tracker::update`] makes objects into tracks ([`track`]). The files of
+//! each folder are listed in the order of its steps.
 //!
 //! Units are SI: metres, radians, seconds. The camera frame is the optical frame: x right, y down, z forward.
 

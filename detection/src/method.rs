@@ -1,8 +1,8 @@
 //! The method on one page: a depth image becomes ellipses, and ellipses become objects.
 //!
-//! [`detect`] is the whole; its two halves can run in processes of their own, which exchange lists of ellipses. Each step is
-//! a call into the file that is named beside it; `docs/method.md` has the equations. What follows, objects to tracks, is
-//! [`Tracker::update_frame`](crate::Tracker::update_frame).
+//! [`detect`] is the whole method. Its two halves can run in separate processes, which exchange lists of ellipses. Each step
+//! calls the file named beside it; `docs/method.md` has the equations. [`Tracker::update_frame`](crate::Tracker::update_frame)
+//! continues from objects to tracks.
 
 use crate::assemble::arcs::Arcs;
 use crate::assemble::choice::{Chosen, choose};
@@ -21,7 +21,7 @@ use crate::extract::{ArcRejections, Extractor, noise_level, noise_planes};
 use conicflow_geometry::Scan;
 use conicflow_messages::{Ellipse, Header, Object};
 
-/// The objects of a depth image, `width * height` pixels row by row.
+/// Returns the objects of a depth image, `width * height` pixels row by row.
 pub(crate) fn detect<'a>(
     extractor: &mut Extractor,
     assembler: &'a mut Assembler,
@@ -32,7 +32,7 @@ pub(crate) fn detect<'a>(
 }
 
 impl Extractor {
-    /// The ellipses of a depth image (`width * height` pixels row by row), in the order of the scan lines.
+    /// Returns the ellipses of a depth image (`width * height` pixels row by row), in the order of the scan lines.
     pub fn extract(&mut self, header: &Header, image: &[u16]) -> &[Ellipse] {
         self.noise = self.estimate_noise(header, image);
         self.ellipses.clear();
@@ -43,7 +43,7 @@ impl Extractor {
         &self.ellipses
     }
 
-    /// How noisy an image is.
+    /// Estimates the noise of an image.
     pub(crate) fn estimate_noise(&mut self, header: &Header, image: &[u16]) -> NoiseEstimate {
         let Self { view, search, samples, squares, .. } = self;
 
@@ -66,23 +66,23 @@ impl Extractor {
     pub(crate) fn look_along(&mut self, header: &Header, image: &[u16], scan: Scan) {
         let Self { noise, view, search, coarse, columns, ellipses, rejections, .. } = self;
 
-        // 2. View: the rows, or the columns, as planes of rays; the largest step within one surface follows from the noise
-        //    (`view.rs`). Columns are the rows of the image turned (`turned.rs`). Where noise hides the steps between surfaces,
+        // 2. View: the rows, or the columns, become planes of rays; the largest step within one surface follows from the noise
+        //    (`view.rs`). Columns are the rows of the turned image (`turned.rs`). Where noise hides the steps between surfaces,
         //    neighbouring lines are averaged (`averaging.rs`).
         view.turn(header, scan, noise);
         let image = if scan == Scan::Row { image } else { turned(image, view.lines as usize, columns) };
         let (step, coarse_step) = (view.step, coarse_step(view.step));
 
-        // 3. Coarse lines: every sixth is cut into arcs as a whole. Runs end at jumps and holes (`line.rs`), running sums give
-        //    the moments of any interval (`rays.rs`, `run.rs`), segments end where neither a line nor a circle explains their
-        //    points (`segments.rs`), and what is surely curved is an arc with its contour (`arc.rs`).
+        // 3. Coarse lines: every sixth line is cut into arcs as a whole. Runs end at jumps and holes (`line.rs`), running sums
+        //    give the moments of any interval (`rays.rs`, `run.rs`), segments end where neither a line nor a circle explains
+        //    their points (`segments.rs`), and a surely curved segment is an arc with its contour (`arc.rs`).
         coarse.clear();
         for number in (0..view.lines).step_by(coarse_step as usize) {
             let whole = (number, 0..view.length);
             coarse.add(&view.plane(number), |arcs| search.arcs_of(view, image, whole, arcs, rejections));
         }
 
-        // 4. The lines between them: the same, but only beside what is curved in the coarse lines (`coarse.rs`).
+        // 4. The lines between: the same, but only beside curved arcs of the coarse lines (`coarse.rs`).
         for (index, number) in (0..view.lines + coarse_step).step_by(coarse_step as usize).enumerate() {
             let between = (number + step).saturating_sub(coarse_step)..number.min(view.lines);
             let windows = coarse.windows_before(index, view.length);
@@ -98,7 +98,7 @@ impl Extractor {
 }
 
 impl Assembler {
-    /// The objects that the ellipses of one image form.
+    /// Returns the objects that the ellipses of one image form.
     pub fn assemble(&mut self, header: &Header, ellipses: &[Ellipse]) -> &[Object] {
         let Self { parameters, arcs, seeds, growing, contours, objects, candidates, rejections } = self;
         let deadline = parameters.deadline();
@@ -106,8 +106,8 @@ impl Assembler {
         candidates.clear();
         *rejections = Rejections::default();
 
-        // 5. Arcs: each ellipse brings the moments of its points, free of the noise's bias (`arcs.rs`). The more surely an arc is
-        //    bent, the sooner it is a seed; the oftener something grew in vain on its surface, the later (`seeds.rs`).
+        // 5. Arcs: each ellipse brings the moments of its points, without the bias of the noise (`arcs.rs`). An arc that is more
+        //    surely curved is a seed sooner, and one on a surface where growth failed more often is a seed later (`seeds.rs`).
         arcs.read(header, ellipses);
         seeds.order(arcs, deadline);
         contours.next_image(&header.camera, parameters.pooled.contour_memory);
@@ -116,7 +116,7 @@ impl Assembler {
             let found = object_around(seed, arcs, seeds, growing, contours, parameters);
             match found.and_then(|chosen| decide(chosen, objects, candidates, seeds, contours, parameters)) {
                 Ok(()) => continue,
-                // Blobs of noise are the most curved of all, and cost no fit: they use up nothing.
+                // Blobs of noise are the most strongly curved, and cost no fit: they do not count as failed growth.
                 Err(Rejection::FewRows) => {
                     rejections.count(Rejection::FewRows);
                     seeds.pass_over(&growing.chain);
@@ -131,7 +131,7 @@ impl Assembler {
     }
 }
 
-/// The object around a seed, or why there is none.
+/// Returns the object around a seed, or why there is none.
 fn object_around<'a>(
     seed: usize,
     arcs: &'a Arcs,
@@ -142,25 +142,25 @@ fn object_around<'a>(
 ) -> Result<Chosen<'a>, Rejection> {
     let free = |arc: usize| seeds.is_free(arc);
 
-    // 6. Chain: the seed with its neighbours in the next lines; they have to be enough, and surely curved together
+    // 6. Chain: the seed with its neighbours in the next lines, which have to be numerous and surely curved together
     //    (`growth.rs`).
     chain(arcs, seed, parameters.max_gap(), free, &mut growing.chain);
     is_promising(arcs, &growing.chain, parameters)?;
 
     // 7. Growth: a sphere, a cylinder and a cone each take in, line after line, the arcs that they explain, and are fitted
-    //    anew to the moments of all of them, until it is surely larger than objects are (`growth.rs`, `model.rs`).
+    //    again to the moments of all of them, or given up when surely larger than the limits (`growth.rs`, `model.rs`).
     let grown = growing.models(arcs, parameters, free);
 
-    // 8. Verification: each is fitted together with the contour that it shows; enough of it has to be seen, surely curved and
-    //    near its surface, for it to be a candidate (`verify.rs`).
+    // 8. Verification: each model is fitted together with its contour; to be a candidate, it has to be seen well enough,
+    //    surely curved and near its points (`verify.rs`).
     let verified = verify_all(arcs, grown, &growing.members, parameters, contours);
 
-    // 9. Choice: the shape that explains most points with the fewest parameters, told with its uncertainty (`choice.rs`,
-    //    `report.rs`).
+    // 9. Choice: the shape that explains most points with the fewest parameters, reported with its uncertainty
+    //    (`choice.rs`, `report.rs`).
     choose(verified, parameters, contours)
 }
 
-/// Takes in what was chosen as an object, or says why it is none.
+/// Adds the chosen candidate to the objects, or returns why it is not one.
 fn decide(
     Chosen { candidate, object, evidence }: Chosen,
     objects: &mut Vec<Object>,
@@ -171,9 +171,9 @@ fn decide(
 ) -> Result<(), Rejection> {
     candidates.push((object, evidence));
 
-    // 10. Decision: all evidence together tells how probable it is that this is an object (`odds.rs`); where there is one
-    //     already, there is no other (`place.rs`). The arcs that an object explains are taken out before the next seed is tried,
-    //     and what it shows of where this sensor puts contours helps the next objects (`contours.rs`).
+    // 10. Decision: all evidence together gives the probability of an object (`odds.rs`); there is only one object in one
+    //     place (`place.rs`). The arcs that an object explains are removed before the next seed is tried, and the errors of
+    //     contours that it shows improve the next objects (`contours.rs`).
     let is_probable = f64::from(object.confidence) >= parameters.min_confidence;
     if is_probable && !objects.iter().any(|other| overlap(other, &object)) {
         contours.learn(&candidate.region, &object);
@@ -181,7 +181,7 @@ fn decide(
         objects.push(object);
         return Ok(());
     }
-    // From any other of its arcs the same would grow.
+    // Growth from any other of its arcs would give the same.
     seeds.pass_over(candidate.region.members);
     Err(if is_probable { Rejection::Overlap } else { Rejection::Odds })
 }

@@ -1,6 +1,6 @@
-//! How a pipeline file names the depth noise of a sensor: by a word for a known one, or by the coefficients of
-//! [`NoiseModel`]. A source puts the model into the header, where every later stage finds it. For a sensor that has no
-//! word, `noise_estimator` finds the coefficients from a recording.
+//! The depth noise of a sensor in a pipeline file: a name for a known sensor, or the coefficients of [`NoiseModel`]. A source
+//! puts the model into the header, where later stages find it. For a sensor without a name, `noise_estimator` finds the
+//! coefficients from a recording.
 
 use conicflow_messages::NoiseModel;
 use serde::de::{IntoDeserializer, value};
@@ -52,7 +52,7 @@ pub const TIME_OF_FLIGHT: NoiseModel =
     NoiseModel { floor_m: 0.001, growth_per_m: 0.0003, knee_m: 0.5, step_per_m: 0.0 };
 
 impl NoiseName {
-    /// The noise of the sensor.
+    /// Returns the noise of the sensor.
     pub const fn model(self) -> NoiseModel {
         match self {
             Self::KinectV1 => NoiseModel::KINECT_V1,
@@ -66,7 +66,7 @@ impl NoiseName {
 impl FromStr for NoiseName {
     type Err = value::Error;
 
-    /// The sensor of this word in the pipeline file.
+    /// Returns the sensor with this name in the pipeline file.
     fn from_str(word: &str) -> Result<Self, value::Error> {
         Self::deserialize(word.into_deserializer())
     }

@@ -1,6 +1,6 @@
-//! Why candidates are turned down, and how often.
+//! Counts the reasons for which candidates are rejected.
 
-/// Declares the reasons of one method with the words that the summary has for them, and what counts them.
+/// Declares the reasons of one method with the words that the summary prints for them, and their counters.
 #[macro_export]
 macro_rules! rejections {
     ($(#[$about:meta])* $Reason:ident, $Counts:ident: $($reason:ident => $words:literal,)+) => {
@@ -10,17 +10,17 @@ macro_rules! rejections {
             $(#[doc = $words] $reason,)+
         }
 
-        /// How often each reason occurred.
+        /// The number of times each reason occurred.
         #[derive(Clone, Copy, Debug, Default)]
         pub struct $Counts([u64; [$($words),+].len()]);
 
         impl $Counts {
-            /// Counts one more.
+            /// Counts a reason.
             pub fn count(&mut self, reason: $Reason) {
                 self.0[reason as usize] += 1;
             }
 
-            /// The reasons that occurred, in words, and how often.
+            /// Returns the reasons that occurred, in words, with their numbers.
             pub fn iter(&self) -> impl Iterator<Item = (&'static str, u64)> + use<> {
                 [$($words),+].into_iter().zip(self.0).filter(|(_, times)| *times > 0)
             }
@@ -31,7 +31,7 @@ macro_rules! rejections {
 #[cfg(test)]
 mod tests {
     rejections! {
-        /// Why something is turned down.
+        /// The reason for which something is rejected.
         Rejection, Rejections:
         Short => "short ones",
         Long => "long ones",

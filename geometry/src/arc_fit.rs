@@ -1,8 +1,8 @@
-//! Line and circle through the points of an arc, and how far the points are off each.
+//! Fits of a line and a circle to the points of an arc, with the mean square distances of the points from both.
 //!
-//! The circle is Taubin's (Chernov, "Circular and Linear Regression" (2010), section 5.10), whose eigenvalue is the mean
-//! square distance. With unbiased moments both mean squares are free of the noise: about zero for the right curve, and
-//! as often below zero as above.
+//! The circle is Taubin's (Chernov, "Circular and Linear Regression" (2010), section 5.10), whose eigenvalue is the mean square
+//! distance. With unbiased moments both mean squares are free of the noise: for the right curve they are about zero, and negative
+//! as often as positive.
 
 use crate::{Circle, PlaneMoments};
 
@@ -30,11 +30,11 @@ pub struct ArcFit {
     pub circle: Circle,
 }
 
-/// How much better a circle whose centre lies behind them explains the points of an arc than a line does, in points times
-/// variances; nothing where the arc is hollow, or so short that the circle is none of the best.
+/// Returns the gain of a circle, whose centre lies behind the points of an arc, over a line: the difference of the mean square
+/// distances, in points times variances. It is 0 where the arc is concave, or where the circle is no better.
 ///
-/// On a straight line noise of that variance bends one arc of two backwards, and gives the others chi squared of one degree
-/// of freedom.
+/// On a straight line noise of that variance bends one arc of two backwards; for the others the bulge is chi squared with one
+/// degree of freedom.
 pub fn bulge(moments: &PlaneMoments, variance: f64) -> f64 {
     let Some(arc) = ArcMoments::of(moments) else { return 0.0 };
     let ArcFit { line_square, circle_square, circle } = arc.fit();
@@ -43,7 +43,7 @@ pub fn bulge(moments: &PlaneMoments, variance: f64) -> f64 {
 }
 
 impl ArcMoments {
-    /// Those of points of which all moments are known; `None` where there are none.
+    /// Returns the moments of points whose plane moments are known; `None` without points.
     pub fn of(moments: &PlaneMoments) -> Option<Self> {
         let mean = moments.mean()?;
         let centred = moments.about(mean);
@@ -61,7 +61,7 @@ impl ArcMoments {
         })
     }
 
-    /// From the means of `(x, y)`, of `(x^2, x y, y^2)`, of `(x q, y q)` and of `q^2`, with `q = x^2 + y^2`.
+    /// Returns the moments from the means of `(x, y)`, of `(x^2, x y, y^2)`, of `(x q, y q)` and of `q^2`, with `q = x^2 + y^2`.
     #[inline]
     pub fn from_means(count: f64, mean: [f64; 2], squares: [f64; 3], cubes: [f64; 2], fourth: f64) -> Self {
         let ([x, y], [sxx, sxy, syy]) = (mean, squares);
@@ -75,18 +75,18 @@ impl ArcMoments {
         Self { count, mean, xx, xy, yy, xz, yz, zz }
     }
 
-    /// Mean of the points, in metres.
+    /// Returns the mean of the points, in metres.
     pub fn mean(&self) -> [f64; 2] {
         self.mean
     }
 
-    /// Mean square distance from the line of least squares.
+    /// Returns the mean square distance from the line of least squares.
     #[inline]
     pub fn line_square(&self) -> f64 {
         smaller_eigenvalue(self.xx, self.xy, self.yy)
     }
 
-    /// Whether the mean square distance from the best circle is at most `square`, without fitting it.
+    /// Returns whether the mean square distance from the best circle is at most `square`, without fitting the circle.
     ///
     /// The polynomial of the eigenvalues rises through its smallest root; a line is a circle too.
     #[inline]
@@ -95,7 +95,7 @@ impl ArcMoments {
         c[0] + square * (c[1] + square * (c[2] + square * c[3])) >= 0.0 || self.line_square() <= square
     }
 
-    /// The cubic whose smallest root is the mean square distance from the circle.
+    /// Returns the cubic whose smallest root is the mean square distance from the circle.
     #[inline]
     fn eigenvalue_polynomial(&self) -> [f64; 4] {
         let Self { xx, xy, yy, xz, yz, zz, .. } = *self;
@@ -109,13 +109,13 @@ impl ArcMoments {
         ]
     }
 
-    /// Mean square distance from the best circle.
+    /// Returns the mean square distance from the best circle.
     #[inline]
     pub fn circle_square(&self) -> f64 {
         root_near_zero(&self.eigenvalue_polynomial())
     }
 
-    /// Fits both.
+    /// Fits a line and a circle.
     pub fn fit(&self) -> ArcFit {
         let Self { xx, xy, yy, xz, yz, .. } = *self;
         let (z, covariance) = (xx + yy, xx * yy - xy * xy);
@@ -133,13 +133,13 @@ impl ArcMoments {
     }
 }
 
-/// The smaller eigenvalue of `[[xx, xy], [xy, yy]]`.
+/// Returns the smaller eigenvalue of `[[xx, xy], [xy, yy]]`.
 #[inline]
 pub(crate) fn smaller_eigenvalue(xx: f64, xy: f64, yy: f64) -> f64 {
     0.5 * (xx + yy) - (0.25 * (xx - yy) * (xx - yy) + xy * xy).sqrt()
 }
 
-/// The root of `c0 + c1 x + c2 x^2 + c3 x^3` that Newton's iteration finds from 0.
+/// Returns the root of `c0 + c1 x + c2 x^2 + c3 x^3` that Newton's iteration finds from 0.
 fn root_near_zero(c: &[f64; 4]) -> f64 {
     let most_steps = 12; // [algorithmic]
     let (mut x, mut step) = (0.0, c[0] / c[1]);
@@ -148,7 +148,7 @@ fn root_near_zero(c: &[f64; 4]) -> f64 {
             break;
         }
         x -= step;
-        // Convergence is quadratic: what is left is the square of the step. [algorithmic]
+        // Convergence is quadratic: the error is the square of the step. [algorithmic]
         if step.abs() <= 1e-4 * x.abs() + 1e-13 {
             break;
         }
@@ -194,7 +194,7 @@ mod tests {
             let points: Vec<_> = points.collect();
             let fit = ArcMoments::of(&PlaneMoments::of([0.0, 2.0], points.iter().copied())).unwrap().fit();
             let Circle { center: [x, y], radius } = fit.circle;
-            // To first order, as the fit has it: (d^2 - r^2) / 2r.
+            // The distance to first order, as in the fit: (d^2 - r^2) / 2r.
             let distance = |[s, t]: [f64; 2]| ((s - x).powi(2) + (t - y).powi(2) - radius * radius) / (2.0 * radius);
             let square = points.iter().map(|point| distance(*point).powi(2)).sum::<f64>() / points.len() as f64;
             assert!((fit.circle_square - square).abs() < 1e-6 * square, "{fit:?} {square}");
@@ -205,7 +205,7 @@ mod tests {
     fn short_arcs_full_of_noise_do_not_speak_against_a_circle() {
         for n in 6..16 {
             for seed in 0..200_u32 {
-                // Even steps across, and depths by a generator of the kind that Numerical Recipes calls quick and dirty.
+                // Even steps across; the depths come from the "quick and dirty" generator of Numerical Recipes.
                 let mut state = seed.wrapping_mul(16).wrapping_add(n);
                 let points = (0..n).map(|i| {
                     state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -268,7 +268,7 @@ mod tests {
     #[test]
     fn a_circle_is_as_far_from_a_ring_and_its_middle_as_from_any_points() {
         // The best circle about as many points in the middle as on the ring of radius 1 has the radius 1/sqrt(2): to first order
-        // all are 1/(2 sqrt(2)) off it.
+        // all points are off by 1/(2 sqrt(2)).
         let ring = (0..12).map(|i| f64::from(i) * std::f64::consts::PI / 6.0).map(|a| [a.cos(), 2.0 + a.sin()]);
         let arc = ArcMoments::of(&PlaneMoments::of([0.0, 2.0], ring.chain([[0.0, 2.0]; 12]))).unwrap();
         assert!((arc.circle_square() - 0.125).abs() < 1e-9 && (arc.line_square() - 0.25).abs() < 1e-9, "{arc:?}");

@@ -132,7 +132,7 @@ impl ScanPlane {
         [self.s_axis().dot(point), self.t_axis().dot(point)]
     }
 
-    /// A vector from its parts along the scan line, across it in the image, and along the view.
+    /// Returns a vector with these components along the scan line, across it in the image, and along the view.
     fn embed(&self, along: f64, across: f64, forward: f64) -> Vector3 {
         match self.scan {
             Scan::Row => Vector3::new(along, across, forward),

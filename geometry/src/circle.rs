@@ -1,5 +1,5 @@
-//! The circle through points of which the moments are known: Taubin's ([`ArcMoments::fit`]), which on a short arc is far
-//! less biased than a free ellipse.
+//! The circle through points with known moments: Taubin's ([`ArcMoments::fit`]), which has far less bias on a short arc than a
+//! free ellipse.
 
 use crate::{ArcMoments, PlaneMoments};
 
@@ -12,10 +12,10 @@ pub struct Circle {
     pub radius: f64,
 }
 
-/// A circle with a larger radius, in spreads of its points, is a line.
+/// Radius beyond which a circle counts as a line, in spreads of its points.
 const STRAIGHT: f64 = 1e6; // [algorithmic]
 
-/// The circle of least distance; `None` where the points are fewer than three or on a line.
+/// Returns the circle of least distance; `None` for fewer than three points, or points on a line.
 pub fn fit_circle(moments: &PlaneMoments) -> Option<Circle> {
     if moments.count() < 3.0 {
         return None;

@@ -1,19 +1,20 @@
-//! The occluding contour as a measurement: where a scan line leaves a surface for something farther behind it, its ray
-//! touches the surface.
+//! The occluding contour as a measurement: where a scan line leaves a surface for something farther behind it, its ray touches
+//! the surface.
 //!
-//! A ray `z r` meets `F = 0` where `a z^2 + b z + c = 0`, a, b and c linear in the coefficients of F; it touches where the
-//! discriminant `D = b^2 - 4 a c` is zero. Along a scan line D is a polynomial of second degree: its root is where the contour
-//! is, and tells how far that is from where it was seen, in pixels.
+//! A ray `z r` meets `F = 0` where `a z^2 + b z + c = 0`; a, b and c are linear in the coefficients of F. It touches the surface
+//! where the discriminant `D = b^2 - 4 a c` is zero. Along a scan line D is a polynomial of second degree. Its root is the place
+//! of the contour, and the distance from there to the place where the contour was seen, in pixels, is the error.
 //!
-//! Sensors put contours systematically too far in (grazing points get lost) or out (they are smeared). What is lost at one angle
-//! of incidence is a band as wide as a share p of the radius of curvature r that the surface has there along the view. So the
-//! outline of one side is off by an offset o and by p r, both across the outline; along a line that crosses it at an angle
-//! of which c is the cosine to its normal, this is `e_i = (o + p r_i) / c_i + noise`. With `U = [1, r_i] / c_i` for each side,
-//! what is known of o and p (their expectation, taken off e, and their covariance V) and the weights w of the points, these are
-//! eliminated by `e'we - (U'we)' (V^-1 + U'wU)^-1 (U'we)`.
+//! Sensors put contours systematically too far in (pixels at grazing incidence are lost) or too far out (silhouettes are
+//! smeared). If the surface is lost at one angle of incidence, the lost band is a share p of the radius of curvature r that the
+//! surface has there along the view. So the outline of one side is off by an offset o and by p r, both across the outline. Along
+//! a line whose cosine to the normal of the outline is c, the error is `e_i = (o + p r_i) / c_i + noise`. With `U = [1, r_i] /
+//! c_i` for each side, the weights w of the points, and the prior of o and p (its expectation is subtracted from e, its
+//! covariance is V), o and p are eliminated by `e'we - (U'we)' (V^-1 + U'wU)^-1 (U'we)`.
 //!
-//! The points of the surface know its size, too. What they and the contour tell of o and p together ([`Contour::bias_evidence`]),
-//! and what the scatter of the contour tells of its noise ([`Contour::noise_evidence`]), can be used for the next object.
+//! The points of the surface determine its size as well. So points and contour together give an estimate of o and p
+//! ([`Contour::bias_evidence`]), and the scatter of the contour gives one of its noise ([`Contour::noise_evidence`]). Both serve
+//! as prior for the next object.
 
 use crate::space::dot;
 use crate::{Coefficients, GradientNoise, Information, Surface, SurfaceFit, Vector3};
@@ -21,16 +22,16 @@ use nalgebra::{Matrix4, SMatrix, SVector, Vector2, Vector4};
 
 /// Sides of an object that have a bias of their own: the first and the last pixel of its lines.
 const SIDES: usize = 2; // [derived]
-/// A contour point farther off than so many standard deviations belongs to something else.
+/// Gate on a contour point, in standard deviations: a point farther off belongs to something else.
 const GATE: f64 = 3.5; // [sigmas]
-/// Least curvature along the view that counts, in 1/m: it keeps the radius finite.
+/// Lower bound of the curvature along the view, in 1/m, which keeps the radius finite.
 const LEAST_CURVATURE: f64 = 0.1; // [algorithmic]
-/// Least cosine between a scan line and the normal of an outline that counts: lines hardly show where an outline is that runs
-/// along them. The change of the discriminant where the line meets the outline counts as at least this part of that where it was
-/// seen.
+/// Lower bound of the cosine between a scan line and the normal of an outline: a line that runs along the outline hardly shows
+/// its place. For the same reason the slope of the discriminant at the outline is taken as at least this part of its slope at the
+/// ray.
 const LEAST_ALONG: f64 = 0.3; // [algorithmic]
 
-/// A place where a scan line leaves a surface.
+/// A point where a scan line leaves a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ContourPoint {
     /// A point on the ray, in the camera frame.
@@ -43,21 +44,21 @@ pub struct ContourPoint {
     pub side: usize,
 }
 
-/// How exact contours are.
+/// Noise and bias of contours.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ContourNoise {
-    /// Variance of a point: in square pixels, and further in squared radii.
+    /// Variance of a point along its line: a part in square pixels and a part in squared radii.
     pub point: Vector2<f64>,
-    /// How many neighbouring lines share their noise, at least 1.
+    /// Number of neighbouring lines that share the noise of the contour, at least 1.
     pub shared_lines: f64,
-    /// How many share that of the points of the surface, which may be means over several lines.
+    /// Number of lines that share the noise of the surface's points, which may be means over several lines.
     pub surface_lines: f64,
-    /// By how much whole sides are off.
+    /// Bias of whole sides.
     pub bias: ContourBias,
 }
 
-/// By how much the contour is off across itself, counted as pixels are (inwards on the first side, outwards on the last): offset
-/// in pixels and share of the radius of the first side, then of the last.
+/// Bias of the contour across the outline, positive along the line (inwards on the first side, outwards on the last): offset in
+/// pixels and share of the radius of the first side, then of the last.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ContourBias {
     /// Expectation.
@@ -71,17 +72,17 @@ pub struct ContourBias {
 pub struct Contour {
     points: Vec<ModelledPoint>,
     noise: ContourNoise,
-    /// Inverse of the covariance of the bias, for a point's weight of one over its variance.
+    /// Inverse of the covariance of the bias, scaled to weights of one over the variance of a point (see `clear`).
     prior: Matrix4<f64>,
-    /// How many of the points that are seen are too far off.
+    /// Number of points that are seen but too far off to be used.
     far_off: usize,
-    /// How far each point is off what is expected, in pixels.
+    /// Error of each point beyond the expected one, in pixels.
     errors: Vec<f64>,
-    /// How far the points of one side are off: a buffer.
+    /// The errors of one side: a buffer.
     of_side: Vec<f64>,
 }
 
-/// A point and what a surface makes of it.
+/// A contour point and its relation to a surface.
 #[derive(Clone, Copy, Debug)]
 struct ModelledPoint {
     point: ContourPoint,
@@ -96,18 +97,18 @@ struct ModelledPoint {
     variance: f64,
 }
 
-/// Its part in the normal equations of a fit.
+/// Part of the contour in the normal equations of a fit.
 #[derive(Clone, Copy, Debug)]
 pub struct ContourTerm<const N: usize> {
     /// Weighted sum of squares.
     pub square_sum: f64,
-    /// Half its gradient.
+    /// Half the gradient of that sum.
     pub gradient: SVector<f64, N>,
-    /// Gauss and Newton's matrix.
+    /// Gauss-Newton matrix.
     pub matrix: SMatrix<f64, N, N>,
 }
 
-/// Weighted sums over points with errors e, slopes J by the parameters of the surface and U by the bias.
+/// Weighted sums over points with errors e, with J their derivatives by the surface's parameters and U those by the bias.
 #[derive(Clone, Copy)]
 struct Sums<const N: usize> {
     /// `e'we`, `J'we` and `J'wJ`.
@@ -120,7 +121,7 @@ struct Sums<const N: usize> {
     shared_slope: SMatrix<f64, 4, N>,
 }
 
-/// `F(z r) = a z^2 + b z + c` along a ray, and how a and b change with the pixels along the line.
+/// `F(z r) = a z^2 + b z + c` along a ray; a and b and their changes per pixel along the line.
 #[derive(Clone, Copy)]
 struct Along {
     a: f64,
@@ -154,14 +155,14 @@ impl Along {
         }
     }
 
-    /// The discriminant, its change per pixel, and the factor of the square of pixels.
+    /// Returns the coefficients of the discriminant as a polynomial of the pixels from the ray: constant, linear and quadratic.
     fn discriminant(&self) -> [f64; 3] {
         let Self { a, b, c, a_pixel, b_pixel, a_square } = *self;
         [b * b - 4.0 * a * c, 2.0 * b * b_pixel - 4.0 * a_pixel * c, b_pixel * b_pixel - 4.0 * a_square * c]
     }
 
-    /// How far the ray is off the contour, in pixels along the line, and the change of the discriminant per pixel there. Of a
-    /// line that hardly meets the contour, or does not, both are as if it met it.
+    /// Returns the error of the ray in pixels along the line, and the slope of the discriminant per pixel at the contour. Where
+    /// the line grazes or misses the contour, the lower bound [`LEAST_ALONG`] of the slope keeps both finite.
     fn error(&self) -> (f64, f64) {
         let [value, per_pixel, square] = self.discriminant();
         let there = (per_pixel * per_pixel - 4.0 * value * square).max(0.0).sqrt();
@@ -169,13 +170,13 @@ impl Along {
         (2.0 * value / (per_pixel + there), there)
     }
 
-    /// Depth at which the ray touches the surface.
+    /// Returns the depth at which the ray touches the surface.
     fn depth(&self) -> f64 {
         -0.5 * self.b / self.a
     }
 
-    /// Radius of curvature of the surface along the ray where this touches it. A ray that runs along the surface for long sees it
-    /// as flat: the radius is finite nevertheless.
+    /// Returns the radius of curvature of the surface along the ray where the ray touches it, in metres. Where the ray runs along
+    /// the surface, which then looks flat, the radius is bounded.
     fn curvature_radius(&self, q: &Coefficients, ray: &Vector3) -> f64 {
         let steepness = crate::gradient(q, &(ray * self.depth())).norm();
         let curvature = 2.0 * self.a / (ray.norm_squared() * steepness);
@@ -184,15 +185,15 @@ impl Along {
 }
 
 impl ContourPoint {
-    /// How far it is off the contour of a surface, in pixels along the line, the ray on which the contour is, and the change of
-    /// the discriminant per pixel there.
+    /// Returns the error of the point in pixels along the line, the ray to the contour, and the slope of the discriminant per
+    /// pixel there.
     fn foot(&self, q: &Coefficients) -> (f64, Vector3, f64) {
         let (error, per_pixel) = Along::new(q, &self.ray, &self.pixel).error();
         (error, self.ray - self.pixel * error, per_pixel)
     }
 
-    /// How far it is off the contour, in pixels along the line, and the derivatives of that by the coefficients. These are those
-    /// of the place of the contour: they do not depend on the noise of the point.
+    /// Returns the error of the point in pixels along the line, and its derivatives by the coefficients. These are taken at the
+    /// contour, so they do not depend on the noise of the point.
     fn error_gradient(&self, q: &Coefficients) -> (f64, Coefficients) {
         let (error, r, per_pixel) = self.foot(q);
         let Along { a, b, c, .. } = Along::new(q, &r, &self.pixel);
@@ -204,10 +205,10 @@ impl ContourPoint {
 }
 
 impl Contour {
-    /// No points yet.
+    /// Removes all points and sets the noise.
     pub fn clear(&mut self, noise: ContourNoise) {
         self.points.clear();
-        // The weights count the points of the surface as if each line had noise of its own.
+        // The weights treat the points of the surface as if each line had its own noise.
         self.prior = noise.bias.covariance.try_inverse().unwrap_or_default() * noise.surface_lines;
         self.noise = noise;
     }
@@ -219,8 +220,8 @@ impl Contour {
         self.points.push(seen);
     }
 
-    /// Uses only the points that are near the contour of a surface `F = 0` with these coefficients, and only those for which
-    /// `is_seen` holds at the point of the surface that the ray touches.
+    /// Uses only the points that are near the contour of a surface `F = 0` with these coefficients, and for which `is_seen` holds
+    /// at the point of the surface that the ray touches.
     pub fn select(&mut self, q: &Coefficients, is_seen: impl Fn(&Vector3) -> bool) {
         self.errors.clear();
         for seen in &mut self.points {
@@ -242,7 +243,7 @@ impl Contour {
         }
     }
 
-    /// How many times as much a point counts as if it shared its noise with as many lines as those of the surface.
+    /// Factor on the weight of a contour point relative to the points of the surface, whose noise more or fewer lines share.
     fn times(&self) -> f64 {
         self.noise.surface_lines / self.noise.shared_lines
     }
@@ -252,20 +253,20 @@ impl Contour {
         self.points.len()
     }
 
-    /// How many of them are used.
+    /// Number of points that are used.
     pub fn used(&self) -> usize {
         self.points.iter().filter(|seen| seen.used).count()
     }
 
-    /// How many of those on a side are used, and the mean radius of curvature that the surface has there along the view, in pixels;
-    /// 0 without points.
+    /// Returns the number of used points on a side, and the mean radius of curvature that the surface has there along the view,
+    /// in pixels; 0 without points.
     pub fn used_on(&self, side: usize) -> (usize, f64) {
         let radii = self.points.iter().filter(|seen| seen.used && seen.point.side == side).map(|seen| seen.radius_px);
         let (count, sum) = radii.fold((0, 0.0), |(count, sum), radius| (count + 1, sum + radius));
         (count, if count > 0 { sum / count as f64 } else { 0.0 })
     }
 
-    /// How far the points that are used are expected to lie outside the outline, in pixels across it: their mean; 0 where they are
+    /// Returns how far the used points are expected to lie outside the outline, in pixels across it, on average; 0 where they are
     /// expected inside it, and without points.
     pub fn outside_px(&self) -> f64 {
         let outwards = |seen: &ModelledPoint| [-1.0, 1.0][seen.point.side] * seen.expected * seen.along;
@@ -277,19 +278,19 @@ impl Contour {
         if count > 0.0 { (sum / count).max(0.0) } else { 0.0 }
     }
 
-    /// How many of them are seen, and too far off to be used.
+    /// Number of points that are seen but too far off to be used.
     pub fn far_off(&self) -> usize {
         self.far_off
     }
 
-    /// What the points that are too far off would at least add to the weighted sum of squares. With it that sum is one of errors
-    /// of which each counts up to the gate (MSAC: Torr and Zisserman, "MLESAC", 2000), and surfaces can be compared by it
-    /// although each is near other points.
+    /// Returns the least that the points that are too far off add to the weighted sum of squares. With it each point counts up to
+    /// the gate (MSAC: Torr and Zisserman, "MLESAC", 2000), so that surfaces can be compared although each of them is near other
+    /// points.
     pub fn least_left_out(&self) -> f64 {
         self.far_off as f64 * GATE * GATE * self.times()
     }
 
-    /// The median of how far the points of a side are off, within what its offset may be.
+    /// Returns the median error of the points of a side, limited to two standard deviations of the offset.
     fn median(&mut self, side: usize) -> f64 {
         let Self { points, noise, errors, of_side, .. } = self;
         of_side.clear();
@@ -301,7 +302,8 @@ impl Contour {
         of_side.select_nth_unstable_by(middle, f64::total_cmp).1.clamp(-limit, limit)
     }
 
-    /// The term of a surface with these coefficients and derivatives of them, in a frame with this origin and unit of length.
+    /// Returns the term of a surface with these coefficients and derivatives of them, in a frame with this origin and unit of
+    /// length.
     pub fn term<const N: usize>(
         &self,
         q: &Coefficients,
@@ -313,7 +315,7 @@ impl Contour {
         self.sums(&camera(q), &derivatives.each_ref().map(camera)).term(&self.prior)
     }
 
-    /// The sums of a surface with these coefficients and derivatives of them, in the camera frame.
+    /// Returns the sums of a surface with these coefficients and derivatives of them, in the camera frame.
     fn sums<const N: usize>(&self, q: &Coefficients, derivatives: &[Coefficients; N]) -> Sums<N> {
         let mut sums = Sums::default();
         for seen in self.points.iter().filter(|seen| seen.used) {
@@ -325,13 +327,13 @@ impl Contour {
         sums
     }
 
-    /// What the points and the contour of a fit tell together of the bias of all contours, beside which each side of each
-    /// object is off by itself with the covariance `own`. `None` where the points alone do not determine the surface.
+    /// Estimates the bias of all contours from the points and the contour of a fit; `own` is the covariance of the own bias of
+    /// each side of each object. `None` where the points alone do not determine the surface.
     ///
-    /// Beside the bias c, of which nothing is known, the contour is off by the own part a, and the fit by x: the weighted sum of
-    /// squares `(e + J x - U (c + a))' w (e + J x - U (c + a)) + a' own^-1 a + x' P x + 2 g' x` is minimised over a, then over x;
-    /// what is left is a function of c alone. P and g are such that the points alone tell the x that their fit tells, with the
-    /// covariance by which their noise moves it, `P^-1 = A^-1 B A^-1` of [`GradientNoise`].
+    /// The contour is off by the common bias c, which has no prior here, and by the own bias a; the fit is off by x. The weighted
+    /// sum of squares `(e + J x - U (c + a))' w (e + J x - U (c + a)) + a' own^-1 a + x' P x + 2 g' x` is minimised over a, then
+    /// over x, which leaves a function of c alone. P and g reproduce the x of a fit to the points alone, with the covariance
+    /// `P^-1 = A^-1 B A^-1` of [`GradientNoise`] that their noise gives it.
     pub fn bias_evidence<S: Surface<N>, const N: usize>(
         &self,
         fit: &SurfaceFit<S, N>,
@@ -339,31 +341,31 @@ impl Contour {
         own: &Matrix4<f64>,
     ) -> Option<Information<4>> {
         let sums = self.sums(&fit.surface.coefficients(), &fit.surface.derivatives());
-        // The fit is where the gradients of points and contour cancel out.
+        // At the minimum of the fit the gradients of points and contour cancel out.
         let told = fit.inverse.try_inverse()? - fit.contour;
         told.cholesky()?;
         let by_noise = told * (scatter.matrix * self.noise.surface_lines.recip()).cholesky()?.inverse();
         let (points, points_gradient) = (by_noise * told, by_noise * -sums.term(&self.prior).gradient);
         let Sums { shared, shared_error, shared_slope, .. } = sums;
         let mean = &self.noise.bias.mean;
-        // Nothing is expected of c: the expectation is put back.
+        // The errors are relative to the expected bias: adds it again.
         let error = shared_error + shared * mean;
         let slope_error = sums.slope_error + shared_slope.transpose() * mean;
-        // over a
+        // Eliminates a.
         let own = (shared + own.try_inverse()? * self.noise.surface_lines).try_inverse()?;
         let rest = Matrix4::identity() - shared * own;
         let slope = rest * shared_slope;
         let matrix = points + sums.slopes - shared_slope.transpose() * own * shared_slope;
         let gradient = points_gradient + slope_error - shared_slope.transpose() * (own * error);
-        // over x
+        // Eliminates x.
         let inverse = matrix.cholesky()?.inverse();
         let matrix = rest * shared - slope * inverse * slope.transpose();
         let vector = rest * error - slope * (inverse * gradient);
         Some(Information { matrix, vector } * self.noise.surface_lines.recip())
     }
 
-    /// What the scatter of the contour about a surface, after its bias, tells of the variance of its points: the squared error of
-    /// a point of variance v has the expectation v and the variance 2 v^2. `None` where the bias cannot be told.
+    /// Estimates the variance of contour points from their scatter about a surface, after the bias: the squared error of a point
+    /// of variance v has the expectation v and the variance 2 v^2. `None` where the bias is not determined.
     pub fn noise_evidence<S: Surface<N>, const N: usize>(&self, surface: &S) -> Option<Information<2>> {
         let q = surface.coefficients();
         let sums = self.sums(&q, &surface.derivatives());
@@ -394,14 +396,14 @@ impl<const N: usize> Default for Sums<N> {
 }
 
 impl<const N: usize> Sums<N> {
-    /// Adds a point; of `J'wJ` the lower triangle.
+    /// Adds a point; fills only the lower triangle of `J'wJ`.
     fn add(&mut self, error: f64, slope: &SVector<f64, N>, seen: &ModelledPoint, weight: f64) {
         self.square += error * error * weight;
         self.slope_error += slope * (error * weight);
         for j in 0..N {
             (j..N).for_each(|i| self.slopes[(i, j)] += slope[i] * slope[j] * weight);
         }
-        // The bias of the other side does not move it.
+        // Only the bias of its own side moves a point.
         let (first, by_bias) = (2 * seen.point.side, seen.by_bias());
         for (row, moved) in (first..).zip(by_bias) {
             (first..).zip(by_bias).for_each(|(column, other)| self.shared[(row, column)] += moved * other * weight);
@@ -410,7 +412,8 @@ impl<const N: usize> Sums<N> {
         }
     }
 
-    /// The term where the bias is eliminated, the inverse of its covariance being `prior`; without a prior, none.
+    /// Returns the term after the bias is eliminated; `prior` is the inverse of its covariance. The term is zero where the bias
+    /// is not determined.
     fn term(&self, prior: &Matrix4<f64>) -> ContourTerm<N> {
         let Some(inverse) = (self.shared + prior).try_inverse() else {
             return ContourTerm { square_sum: 0.0, gradient: SVector::zeros(), matrix: SMatrix::zeros() };
@@ -425,30 +428,30 @@ impl<const N: usize> Sums<N> {
 }
 
 impl ModelledPoint {
-    /// Tells how the outline runs there, and by that what is expected of the point's error.
+    /// Sets the direction and curvature of the outline at the point, and the expected error and variance that follow from them.
     fn place(&mut self, along: f64, radius_px: f64, noise: &ContourNoise) {
         (self.along, self.radius_px) = (along, radius_px);
         (self.expected, self.variance) = (self.moved_by(&noise.bias.mean), noise.point.dot(&self.by_noise()));
     }
 
-    /// By how much each part of the bias of its side moves it, in pixels along the line.
+    /// Returns the error of the point per unit of each part of its side's bias, in pixels along the line.
     fn by_bias(&self) -> [f64; 2] {
         [1.0 / self.along, self.radius_px / self.along]
     }
 
-    /// By how much a bias moves it, in pixels along the line.
+    /// Returns the error of the point by a bias, in pixels along the line.
     fn moved_by(&self, bias: &Vector4<f64>) -> f64 {
         let [by_offset, by_share] = self.by_bias();
         bias[2 * self.point.side] * by_offset + bias[2 * self.point.side + 1] * by_share
     }
 
-    /// How much each part of the noise adds to its variance, in square pixels along the line.
+    /// Returns the variance of the point per unit of each part of the noise, in square pixels along the line.
     fn by_noise(&self) -> Vector2<f64> {
         Vector2::new(1.0, (self.radius_px / self.along).powi(2))
     }
 }
 
-/// Coefficients of the same function of a point that is given in the camera frame.
+/// Returns the coefficients in the camera frame of a function given in a frame with this origin and unit of length.
 fn in_camera_frame(q: &Coefficients, origin: &Vector3, scale: f64) -> Coefficients {
     let (one, square) = (1.0 / scale, 1.0 / (scale * scale));
     let o = origin / scale;

@@ -21,7 +21,7 @@ fn cup() -> Conical {
     Conical { point: Vector3::new(0.05, 0.02, 1.2), axis, radius: 0.05, slope: 0.12 }
 }
 
-/// The contour of `F = 0` on some rows, moved outwards along them by so many pixels.
+/// The contour of `F = 0` on some rows, moved outwards along them by `outwards` pixels.
 fn contour_on(rows: Range<u32>, q: &Coefficients, radius_px: f64, outwards: f64, noise: ContourNoise) -> Contour {
     let mut contour = Contour::default();
     contour.clear(noise);
@@ -50,7 +50,7 @@ fn contour(surface: &Conical, outwards: f64) -> Contour {
     contour_on(105..140, &surface.coefficients(), 12.0, outwards, noise())
 }
 
-/// The term of a surface that is given in the camera frame.
+/// The term of a surface in the camera frame.
 fn term<S: Surface<N>, const N: usize>(contour: &Contour, surface: &S) -> ContourTerm<N> {
     contour.term(&surface.coefficients(), &surface.derivatives(), &Vector3::zeros(), 1.0)
 }
@@ -133,14 +133,14 @@ fn what_is_grazed_goes_with_the_radius_of_curvature_along_the_view() {
     let ball = Sphere { center: Vector3::new(0.0, 0.0, 1.2), radius: 0.05 };
     let expected = at(0.05);
     assert!((radius_px(&ball.coefficients()) / expected - 1.0).abs() < 0.01);
-    // The view runs along a cylinder the more, the more this leans to it.
+    // The more a cylinder leans towards the view, the larger is its radius of curvature along the view.
     for (sine, cosine) in [(0.0, 1.0), (0.6, 0.8), (0.8, 0.6)] {
         let axis = Vector3::new(0.0, cosine, sine);
         let can = Conical { point: ball.center, axis, radius: 0.05, slope: 0.0 };
         let seen = radius_px(&can.coefficients()) * cosine * cosine;
         assert!((seen / expected - 1.0).abs() < 0.02, "{seen} {expected}");
     }
-    // The side of a cone leans to its axis: its normal sections are as much wider (Meusnier's theorem).
+    // The side of a cone leans to its axis: its normal sections are wider by that factor (Meusnier's theorem).
     let cone = |slope: f64| Conical { point: ball.center, axis: Vector3::y(), radius: 0.05, slope };
     let [upright, tapered] = [0.0, 0.3].map(|slope| radius_px(&cone(slope).coefficients()));
     assert!((tapered / upright - (1.0 + 0.3 * 0.3_f64).sqrt()).abs() < 0.002, "{upright} {tapered}");
@@ -149,7 +149,7 @@ fn what_is_grazed_goes_with_the_radius_of_curvature_along_the_view() {
 #[test]
 fn a_bias_is_across_the_outline() {
     let ball = Sphere { center: Vector3::new(0.0, 0.0, 1.5), radius: 0.15 };
-    // The ball whose outline is a circle that is wider by a pixel on all sides.
+    // A ball whose outline is wider by a pixel on all sides.
     let angle = (ball.radius / ball.center.z).asin();
     let wider = Sphere { radius: ball.center.z * (angle.tan() + 1.0 / CAMERA.fx).atan().sin(), ..ball };
     let bias = biased(Vector4::new(-1.0, 0.0, 1.0, 0.0), [1e-3, 1e-6]);
@@ -162,7 +162,7 @@ fn a_bias_is_across_the_outline() {
 
 const BALL: Sphere = Sphere { center: Vector3::new(0.0, 0.0, 1.2), radius: 0.1 };
 
-/// A ball that is seen with depths that scatter by so many metres, its contour too wide by `outwards` pixels, fitted with both.
+/// A ball with depths of noise `sigma` metres and a contour too wide by `outwards` pixels, fitted to both.
 fn ball(sigma: f64, outwards: f64, noise: ContourNoise) -> (SurfaceFit<Sphere, 4>, Contour) {
     ball_by(&mut Random(5), sigma, outwards, noise)
 }
@@ -177,14 +177,14 @@ fn ball_by(random: &mut Random, sigma: f64, outwards: f64, noise: ContourNoise) 
     (fit_with_contour(&pool.normalized().unwrap(), &contour, &ball).unwrap(), contour)
 }
 
-/// The scatter of points of which each is off as far across the surface as along the ray, as their weights have it.
+/// Gradient noise of points whose noise acts across the surface, as their weights assume.
 fn even(fit: &SurfaceFit<Sphere, 4>, contour: &Contour) -> GradientNoise<4> {
     let mut scatter = GradientNoise::new(&fit.surface);
     scatter.matrix = (fit.inverse.try_inverse().unwrap() - fit.contour) * contour.noise.surface_lines;
     scatter
 }
 
-/// That of the points of the ball.
+/// Gradient noise of the points of the ball, whose noise acts along their rays.
 fn along_rays(fit: &SurfaceFit<Sphere, 4>, sigma: f64) -> GradientNoise<4> {
     let mut scatter = GradientNoise::new(&fit.surface);
     for plane in (97..143).map(|row| CAMERA.plane(Scan::Row, f64::from(row))) {
@@ -228,7 +228,8 @@ fn where_points_are_means_over_four_lines_the_contour_counts_as_that_of_each_lin
     let own = biased(Vector4::zeros(), [0.05, 1e-3]).covariance;
     let bias = ContourBias { covariance: noise().bias.covariance * 0.25, ..noise().bias };
     let variance = noise().point;
-    // Points that tell a fourth, beside a contour that tells all: the same as a contour of a fourth of the variance, but for all.
+    // Here points count a fourth beside a contour that counts fully. That equals a contour of a fourth of the variance, with all
+    // evidence divided by four.
     let told = |noise: ContourNoise, own: &Matrix4<f64>| {
         let (fit, contour) = ball(0.004, 0.4, noise);
         contour.bias_evidence(&fit, &even(&fit, &contour), own).unwrap()
@@ -319,7 +320,7 @@ fn a_contour_is_expected_outside_by_the_mean_of_its_sides_across_the_outline() {
         let q = cup().coefficients();
         let mut contour = contour_on(105..140, &q, 12.0, 0.0, ContourNoise { bias, ..noise() });
         contour.points.iter_mut().for_each(|seen| seen.place(0.8, 12.0, &contour.noise));
-        // All that is left is of the last side.
+        // From here on only the last side counts.
         let both = contour.outside_px();
         contour.points.iter_mut().for_each(|seen| seen.used = seen.point.side == 1);
         [both, contour.outside_px()]
@@ -384,7 +385,7 @@ fn the_noise_is_what_is_left_of_a_contour_by_the_bias_that_is_expected_and_seen(
     let bias = biased(Vector4::new(-0.4, 0.0, 0.4, 0.0), [0.1, 1e-6]);
     let contour = contour_on(105..140, &surface.coefficients(), 12.0, 0.7, ContourNoise { bias, ..noise() });
     let Information { matrix, vector } = contour.noise_evidence::<_, 6>(&surface).unwrap();
-    // Of 0.3 pixels that are not expected the contour shows about half, against what is known of the bias.
+    // 0.3 pixels of the offset are unexpected; the estimate of the bias takes up about half of them, against its prior.
     let left = (vector[0] / matrix[(0, 0)]).sqrt();
     assert!((0.05..0.25).contains(&left), "{left}");
     let variance = noise().point.dot(&Vector2::new(1.0, 144.0));

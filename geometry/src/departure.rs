@@ -1,18 +1,18 @@
-//! How far points and contour depart from a sphere, cylinder or cone towards other quadrics: an oval section, an ellipsoid.
+//! The departure of points and contour from a sphere, cylinder or cone towards other quadrics: an oval section, an ellipsoid.
 
 use crate::pooled::System;
 use crate::surface::gradient;
 use crate::{Coefficients, Contour, QuadricMoments, Surface, SurfaceFit, Vector3};
 use nalgebra::{SMatrix, SVector};
 
-/// What points and contour tell, beyond a fit to both, of other quadrics near it: the x with which `F + x_1 E_1 + ... + x_K E_K`
-/// has the least sum of squares, its N parameters being free as well; and the covariance of x, were the distances of the points
-/// independent and of a variance of one over their weights. `forms` gives the E of a surface, in the frame in which that is
-/// given; x has no unit. M is N + K. `None` where the sum of squares has no least value.
+/// Estimates how far points and contour depart from a surface fitted to both, towards other quadrics near it. Returns the x with
+/// which `F + x_1 E_1 + ... + x_K E_K` has the least sum of squares, with the N parameters of F free as well; and the covariance
+/// of x, if the distances of the points are independent and have a variance of one over their weights. `forms` returns the E of a
+/// surface, in the frame of that surface; x has no unit. M is N + K. `None` where the sum of squares has no minimum.
 ///
-/// F is a distance as long as its gradient is 1; a quadric without a gradient would have no squares at all. So of each change
-/// that is allowed so much of F itself is taken off that the gradient stays what it is in the middle of what is seen. Points are
-/// linear in what is left, and one step is enough; the contour is nearly so.
+/// F is a distance only where its gradient is 1, and a quadric with a vanishing gradient would have vanishing squares. So a
+/// multiple of F is subtracted from each allowed change, such that the gradient in the middle of the visible part stays the same.
+/// Points are linear in the rest, so one step suffices; the contour is nearly linear.
 pub fn departure<S: Surface<N>, const N: usize, const K: usize, const M: usize>(
     moments: &QuadricMoments,
     contour: &Contour,
@@ -22,7 +22,7 @@ pub fn departure<S: Surface<N>, const N: usize, const K: usize, const M: usize>(
     const { assert!(M == N + K, "M counts all parameters") };
     let surface = fit.surface.to_local(&moments.origin, moments.scale);
     let (q, derivatives, forms) = (surface.coefficients(), surface.derivatives(), forms(&surface));
-    // The mean of the points is the origin, where F is its constant and about the distance from the surface.
+    // The origin is the mean of the points. There F equals its constant, which is about the distance from the surface.
     let middle = -gradient(&q, &Vector3::zeros()).normalize() * q[9];
     let slope = gradient(&q, &middle);
     let keeps_gradient = |change: &Coefficients| -> Coefficients {
@@ -48,7 +48,7 @@ mod tests {
         Conical { point: Vector3::new(0.1, 0.05, 1.3), axis, radius: 0.15, slope: 0.0 }
     }
 
-    /// A surface that departs from its shape by so much.
+    /// A surface that departs from its shape by the forms times `by`.
     fn departed(q: Coefficients, forms: &[Coefficients], by: &[f64]) -> Coefficients {
         std::array::from_fn(|i| q[i] + forms.iter().zip(by).map(|(form, by)| form[i] * by).sum::<f64>())
     }
@@ -60,7 +60,7 @@ mod tests {
             let points = of_exact(&seen(&q, 90..150, 0.0, exact));
             let round = fit_surface(&points, &can(), f64::INFINITY).unwrap();
             let (x, _) = departure::<_, 5, 2, 7>(&points, &Contour::default(), &round, Conical::departures).unwrap();
-            // The radius of the round fit is another one, and the directions across turn with its axis.
+            // The radius of the round fit differs, and the directions across turn with its axis.
             let [found, expected] = [x.norm(), SVector::from(by).norm()];
             assert!((found - expected).abs() < 0.1 * expected + 1e-3, "{found} {expected}");
         }
@@ -90,7 +90,7 @@ mod tests {
         assert!(greatest < 1.0, "with 1 it is no closed section any more: {greatest}");
     }
 
-    /// Noise along the ray moves points less across the surface where the ray grazes it, of which the covariance knows nothing.
+    /// Noise along the ray moves points less across the surface where the ray grazes it, which the covariance ignores.
     #[test]
     fn departures_of_what_is_round_scatter_no_more_than_their_covariance_tells() {
         let (sigma, frames): (f64, u64) = (0.002, 60);
@@ -111,7 +111,7 @@ mod tests {
         assert!((0.3..2.0).contains(&square), "{square}");
     }
 
-    /// A ball with noise, and what is fitted to it.
+    /// A ball with noise, and the fit to it.
     fn noisy_ball() -> (QuadricMoments, SurfaceFit<Sphere, 4>) {
         let ball = Sphere { center: Vector3::new(0.1, 0.05, 1.3), radius: 0.15 };
         let mut random = Random(3);
@@ -133,8 +133,8 @@ mod tests {
         }
     }
 
-    /// A step of Gauss and Newton of F over its gradient where the surface is nearest to the mean of the points, with slopes by
-    /// differences.
+    /// The expected departure is a Gauss-Newton step of F over its gradient where the surface is nearest to the mean of the
+    /// points, with numerical derivatives.
     #[test]
     fn departures_are_the_least_squares_of_what_has_the_gradient_of_the_surface_in_the_middle() {
         let (points, round) = noisy_ball();
@@ -155,7 +155,7 @@ mod tests {
         let half_gradient = SVector::<f64, 9>::from_fn(|i, _| product(&slopes[i], &at(i, 0.0)));
         let expected = (matrix.try_inverse().unwrap() * -half_gradient).fixed_rows::<5>(4).into_owned();
         let (found, _) = departure::<_, 4, 5, 9>(&points, &Contour::default(), &round, Sphere::departures).unwrap();
-        // The middle is told to first order.
+        // `departure` knows the middle only to first order.
         assert!((found - expected).norm() < 0.3 * expected.norm(), "{found} {expected}");
     }
 }

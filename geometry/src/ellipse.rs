@@ -1,4 +1,4 @@
-//! Conics: the direct ellipse fit from moments, the distance of points from a conic, and what an ellipse looks like.
+//! Conics: the direct ellipse fit from moments, the distance of points from a conic, and the axes and extents of an ellipse.
 //!
 //! A conic is `F(s, t) = a s^2 + b s t + c t^2 + d s + e t + f = 0`. The fit minimises `sum F^2` under `4ac - b^2 = 1`:
 //! Fitzgibbon, Pilu, Fisher, "Direct least square fitting of ellipses" (PAMI 1999), in the numerically stable form of
@@ -30,7 +30,7 @@ pub struct Ellipse {
 }
 
 impl Conic {
-    /// `sum F^2` over the points of `moments`: the quadratic form `q' M q` of the coefficients.
+    /// Returns `sum F^2` over the points of `moments`: the quadratic form `q' M q` of the coefficients.
     pub fn square_sum(&self, moments: &PlaneMoments) -> f64 {
         let moved;
         let moments = if moments.origin() == self.origin {
@@ -61,7 +61,7 @@ impl Conic {
         square.iter().zip(moments.sums()).map(|(factor, moment)| factor * moment).sum()
     }
 
-    /// `sum |grad F|^2` over the points of `moments`.
+    /// Returns `sum |grad F|^2` over the points of `moments`.
     pub fn gradient_square_sum(&self, moments: &PlaneMoments) -> f64 {
         let [a, b, c, d, e, _] = self.coefficients;
         let moments = moments.about(self.origin);
@@ -74,18 +74,17 @@ impl Conic {
         part(2.0 * a, b, d) + part(b, 2.0 * c, e)
     }
 
-    /// Root mean square distance of the points from the curve, to first order: `sqrt(sum F^2 / sum |grad F|^2)`.
+    /// Returns the root mean square distance of the points from the curve, to first order: `sqrt(sum F^2 / sum |grad F|^2)`.
     ///
-    /// This is Taubin's approximate mean square distance (PAMI 1991): Sampson's distance `F / |grad F|` with the mean of
-    /// the gradient in place of each point's own, which is what can be had from moments, in O(1). `None` where the
-    /// gradient vanishes.
+    /// This is Taubin's approximate mean square distance (PAMI 1991): Sampson's distance `F / |grad F|` with the mean of the
+    /// gradient in place of each point's own, which follows from moments in O(1). `None` where the gradient vanishes.
     pub fn rms(&self, moments: &PlaneMoments) -> Option<f64> {
         let gradient = self.gradient_square_sum(moments);
         let ratio = self.square_sum(moments).max(0.0) / gradient;
         (gradient > 0.0 && ratio.is_finite()).then(|| ratio.sqrt())
     }
 
-    /// Centre, axes and extents, if the conic is a real ellipse.
+    /// Returns the centre, the axes and the extents; `None` if the conic is not a real ellipse.
     pub fn to_ellipse(&self) -> Option<Ellipse> {
         let [a, b, c, d, e, f] = self.coefficients;
         let determinant = a * c - b * b / 4.0;
@@ -95,7 +94,7 @@ impl Conic {
         let (s, t) = ((b * e / 2.0 - c * d) / (2.0 * determinant), (b * d / 2.0 - a * e) / (2.0 * determinant));
         let level = -(f + (d * s + e * t) / 2.0);
         let (mean, half_gap) = ((a + c) / 2.0, ((a - c) / 2.0).hypot(b / 2.0));
-        // Of the two eigenvalues of the quadratic part, the greater magnitude is free of cancellation.
+        // Of the two eigenvalues of the quadratic part, the one with the greater magnitude is free of cancellation.
         let steep = mean + half_gap.copysign(mean);
         let shallow = determinant / steep;
         let squares = [level / shallow, level / steep, level * c / determinant, level * a / determinant];
@@ -107,7 +106,7 @@ impl Conic {
         Some(Ellipse { center, semi_axes: [long, short], angle: long_axis(a, b, c), half_extents: [width, depth] })
     }
 
-    /// The same curve with coefficients about another origin.
+    /// Returns the same curve with coefficients about another origin.
     #[must_use]
     pub fn about(&self, origin: [f64; 2]) -> Self {
         let [a, b, c, d, e, f] = self.coefficients;
@@ -117,7 +116,7 @@ impl Conic {
         Self { origin, coefficients }
     }
 
-    /// The same curve, so many times as large.
+    /// Returns the same curve scaled by a factor.
     fn scaled(&self, scale: f64) -> Self {
         let [a, b, c, d, e, f] = self.coefficients;
         let square = scale * scale;
@@ -125,7 +124,7 @@ impl Conic {
     }
 }
 
-/// Direction of the longer axis of an ellipse with quadratic part `a s^2 + b s t + c t^2`.
+/// Returns the direction of the longer axis of an ellipse with quadratic part `a s^2 + b s t + c t^2`.
 fn long_axis(a: f64, b: f64, c: f64) -> f64 {
     let sign = if a + c < 0.0 { -1.0 } else { 1.0 };
     // The quadratic part is least along the longer axis; `-0.0` would turn an angle of pi/2 into -pi/2.
@@ -133,8 +132,8 @@ fn long_axis(a: f64, b: f64, c: f64) -> f64 {
     if angle <= -std::f64::consts::FRAC_PI_2 { angle + std::f64::consts::PI } else { angle }
 }
 
-/// The ellipse through points of which the moments are known; `None` where they are fewer than six, on a line, or do not
-/// determine one.
+/// Fits an ellipse to points with known moments; `None` for fewer than six points, points on a line, or points that do not
+/// determine an ellipse.
 ///
 /// With `D1 = [s^2, s t, t^2]`, `D2 = [s, t, 1]`: `S1 = D1'D1`, `S2 = D1'D2`, `S3 = D2'D2`, `T = -S3^-1 S2'`; the
 /// quadratic part is the eigenvector of `C1^-1 (S1 + S2 T)` to its one positive eigenvalue, the rest is `T` times it.
@@ -179,10 +178,10 @@ fn reduced_scatter(m: &PlaneMoments, linear: &Matrix3<f64>) -> Matrix3<f64> {
     (sum + sum.transpose()) * 0.5
 }
 
-/// The solution of `S a = lambda C1 a` with `4ac - b^2 > 0`.
+/// Returns the solution of `S a = lambda C1 a` with `4ac - b^2 > 0`.
 ///
-/// C1 has one positive and two negative eigenvalues and S none that is negative, so the pencil has exactly one
-/// eigenvalue >= 0, the greatest; Newton's iteration from above runs to it without overshooting.
+/// C1 has one positive and two negative eigenvalues, and S has no negative one. So the pencil has exactly one eigenvalue >= 0,
+/// the greatest; Newton's iteration from above converges to it without overshooting.
 fn ellipse_eigenvector(scatter: &Matrix3<f64>) -> Option<Vector3<f64>> {
     let s = scatter;
     let m = Matrix3::from_rows(&[s.row(2) * 0.5, -s.row(1), s.row(0) * 0.5]);
@@ -202,14 +201,14 @@ fn greatest_eigenvalue(m: &Matrix3<f64>) -> f64 {
         + m[(1, 1)] * m[(2, 2)]
         - m[(1, 2)] * m[(2, 1)];
     let determinant = m.determinant();
-    // Laguerre's bound on the roots of a cubic with three real ones.
+    // Start: Laguerre's bound on the roots of a cubic with three real ones.
     let mut x = (trace + 2.0 * (trace * trace - 3.0 * minors).max(0.0).sqrt()) / 3.0;
     let most_steps = 60; // [algorithmic]
     for _ in 0..most_steps {
         let value = ((x - trace) * x + minors) * x - determinant;
         let slope = (3.0 * x - 2.0 * trace) * x + minors;
         let next = x - value / slope;
-        // As near as rounding lets it come. [algorithmic]
+        // As near as rounding permits. [algorithmic]
         if !next.is_finite() || next >= x || (x - next) < 1e-15 * x.abs() {
             break;
         }
@@ -251,7 +250,7 @@ mod tests {
 
     fn assert_close(found: &Ellipse, expected: &Ellipse, tolerance: f64) {
         let numbers = |e: &Ellipse| {
-            // Axes have no sign: an angle of pi/2 is one of -pi/2.
+            // Axes have no sign: an angle of pi/2 equals one of -pi/2.
             let direction = (2.0 * e.angle).sin();
             [e.center[0], e.center[1], e.semi_axes[0], e.semi_axes[1], e.half_extents[0], e.half_extents[1], direction]
         };
@@ -355,7 +354,7 @@ mod tests {
         assert_close(&negated.to_ellipse().unwrap(), &conic.to_ellipse().unwrap(), 1e-12);
     }
 
-    /// Points about an ellipse that leans, seen on one side.
+    /// Noisy points of an ellipse that leans, seen on one side.
     fn noisy_arc(semi_axes: [f64; 2], angle: f64, sigma: f64) -> PlaneMoments {
         let points = arc(&sample(semi_axes, angle, [0.3, 1.2]), 0.3, 4.0, 60).into_iter().enumerate();
         PlaneMoments::of([0.1, 1.0], points.map(|(i, [s, t])| [s + sigma * noise(2 * i), t + sigma * noise(2 * i + 1)]))
@@ -411,7 +410,7 @@ mod tests {
         let mut some = 0;
         for i in 0..400 {
             let mut sums = *noisy_arc([0.4, 0.25], 0.4, 0.05).about([0.3, 1.2]).sums();
-            // More noise may be taken off them than they have.
+            // The correction may subtract more noise than there is.
             (10..MOMENTS).for_each(|k| sums[k] -= 0.02 * (1.0 + noise(MOMENTS * i + k)));
             if let Some(conic) = fit_ellipse(&PlaneMoments::from_sums([0.3, 1.2], sums)) {
                 let [a, b, c, ..] = conic.coefficients;

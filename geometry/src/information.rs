@@ -1,26 +1,26 @@
-//! What is known of some numbers, as an information matrix and an information vector (Bar-Shalom, Li, Kirubarajan 2001, section
-//! 7.2): what independent observations tell adds up.
+//! Information filter: knowledge of a vector as an information matrix and an information vector (Bar-Shalom, Li, Kirubarajan
+//! 2001, section 7.2), which add up over independent observations.
 
 use nalgebra::{SMatrix, SVector};
 use std::ops::{Add, AddAssign, Mul};
 
-/// What is known of N numbers; by default nothing.
+/// Knowledge of N numbers; by default none.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Information<const N: usize> {
-    /// Inverse of their covariance.
+    /// Inverse of the covariance.
     pub matrix: SMatrix<f64, N, N>,
-    /// That times their expectation.
+    /// Inverse of the covariance times the expectation.
     pub vector: SVector<f64, N>,
 }
 
 impl<const N: usize> Information<N> {
-    /// That of numbers with this expectation and covariance; `None` where the covariance is singular.
+    /// Returns the information of this expectation and covariance; `None` where the covariance is singular.
     pub fn of(mean: &SVector<f64, N>, covariance: &SMatrix<f64, N, N>) -> Option<Self> {
         let matrix = covariance.try_inverse()?;
         Some(Self { matrix, vector: matrix * mean })
     }
 
-    /// Their expectation and covariance; `None` where not all of them are known.
+    /// Returns the expectation and the covariance; `None` where the matrix is not positive definite.
     pub fn estimate(&self) -> Option<(SVector<f64, N>, SMatrix<f64, N, N>)> {
         let covariance = self.matrix.cholesky()?.inverse();
         Some((covariance * self.vector, covariance))
@@ -47,7 +47,7 @@ impl<const N: usize> AddAssign for Information<N> {
     }
 }
 
-/// What is left of it where observations count so many times.
+/// Scales the information, as if the observations counted so many times.
 impl<const N: usize> Mul<f64> for Information<N> {
     type Output = Self;
 

@@ -4,8 +4,8 @@ use crate::arc_fit::smaller_eigenvalue;
 use crate::{PlaneMoments, Regression, Scan, ScanPlane, Vector3};
 use nalgebra::{Matrix3, SymmetricEigen};
 
-/// Root mean square distance of points in a plane from their line of least squares, in metres; `None` where there are fewer
-/// than two or all are the same.
+/// Returns the root mean square distance of points in a plane from their line of least squares, in metres; `None` for fewer than
+/// two points, or where all are the same.
 pub fn line_rms(moments: &PlaneMoments) -> Option<f64> {
     let [ss, st, tt] = moments.about(moments.mean()?).covariance()?;
     let is_line = moments.count() >= 2.0 && ss + tt > 0.0;
@@ -59,7 +59,7 @@ impl Line {
 }
 
 impl LineMoments {
-    /// The sums of no points; `origin` should be near them.
+    /// Starts without points; `origin` should be near them.
     pub fn new(origin: Vector3) -> Self {
         Self { origin, count: 0.0, sum: Vector3::zeros(), outer: Matrix3::zeros() }
     }
@@ -77,7 +77,7 @@ impl LineMoments {
         self.count
     }
 
-    /// The line of least squared distance; `None` where there are fewer than two points or all are the same.
+    /// Returns the line of least squared distance; `None` for fewer than two points, or where all are the same.
     pub fn fit(&self) -> Option<Line> {
         if self.count < 2.0 {
             return None;
@@ -90,7 +90,7 @@ impl LineMoments {
         let eigen = SymmetricEigen::new(scatter);
         let longest = eigen.eigenvalues.imax();
         let along = eigen.eigenvalues[longest];
-        // What rounding leaves of equal points. [algorithmic]
+        // A variance as small as rounding leaves for equal points. [algorithmic]
         if along <= 1e-14 * mean.norm_squared().max(f64::MIN_POSITIVE) {
             return None;
         }
@@ -102,9 +102,9 @@ impl LineMoments {
 
 /// Running sums for a line through points that lie on known scan planes: one more point is O(1).
 ///
-/// Along the image of a line, inverse depth and `s / z` are linear in the slope of the scan plane, which is exact. So
-/// two regressions give the line, and noise along the view does not turn it towards the view as it turns the line of
-/// least squared distance where the points reach less far than they scatter.
+/// Along the image of a line, inverse depth and `s / z` are exactly linear in the slope of the scan plane. So two regressions
+/// give the line. Unlike the line of least squared distance, it is not turned towards the view by noise along the view where the
+/// extent of the points is smaller than their scatter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PencilMoments {
     scan: Scan,
@@ -113,7 +113,7 @@ pub struct PencilMoments {
 }
 
 impl PencilMoments {
-    /// The sums of no points.
+    /// Starts without points.
     pub fn new(scan: Scan) -> Self {
         Self { scan, inverse_depth: Regression::default(), side: Regression::default() }
     }
@@ -125,8 +125,8 @@ impl PencilMoments {
         self.side.add(plane.slope(), s / depth);
     }
 
-    /// The line, towards growing slopes; `None` where there are fewer than three points, all are on one plane, or the
-    /// line is not in front of the camera.
+    /// Returns the line, directed towards growing slopes; `None` for fewer than three points, where all are on one plane, or
+    /// where the line is not in front of the camera.
     pub fn fit(&self) -> Option<Line> {
         let (inverse, side) = (self.inverse_depth.fit()?, self.side.fit()?);
         let point = |slope: f64| {
@@ -134,7 +134,7 @@ impl PencilMoments {
             let plane = ScanPlane::new(self.scan, slope);
             (depth > 0.0).then(|| plane.to_camera([side.at(slope) * depth, plane.stretch() * depth]))
         };
-        // Ends that are a standard deviation of the slopes away on both sides.
+        // The ends are a standard deviation of the slopes away on either side.
         let half = self.inverse_depth.spread();
         let (from, to, middle) = (point(inverse.middle - half)?, point(inverse.middle + half)?, point(inverse.middle)?);
         let spread = 0.5 * (to - from).norm();

@@ -1,4 +1,4 @@
-//! Running sums over points of a plane: all that line, circle and conic fits need to know of the points.
+//! Running sums over points of a plane, which suffice for fits of lines, circles and conics.
 //!
 //! `m[p, q] = sum (s - s0)^p (t - t0)^q` for p + q <= 4 about an origin `(s0, t0)`. One more point is 14 additions; two
 //! sets are joined by adding their sums; moving the origin is exact polynomial algebra and needs no points.
@@ -20,11 +20,13 @@ const EXPONENTS: [[usize; 2]; MOMENTS] = {
     table
 };
 
-/// For s and t, which moments get a share of which as the origin moves along it, in this order.
+/// For s and t: pairs of moments, to the first of which a share of the second is added as the origin moves along that axis, in
+/// this order.
 const SHIFTS: [[[usize; 2]; 20]; 2] = [shifts(&EXPONENTS, 0), shifts(&EXPONENTS, 1)];
 
-/// Which moments get a share of which as the origin moves along an axis: each power of that coordinate gets its share of the one
-/// below, the highest first; as often as there are powers. The moments are ordered by degree.
+/// Returns the pairs `[to, from]` of moments, in order, such that adding a share of `from` to `to` moves the origin along an
+/// axis: one pass per power adds to each power of that coordinate, the highest first, its share of the power below. The moments
+/// are ordered by degree.
 pub(crate) const fn shifts<const AXES: usize, const MOMENTS: usize, const SHARES: usize>(
     exponents: &[[usize; AXES]; MOMENTS],
     axis: usize,
@@ -32,7 +34,7 @@ pub(crate) const fn shifts<const AXES: usize, const MOMENTS: usize, const SHARES
     let mut table = [[0; 2]; SHARES];
     let (mut next, mut lowest) = (0, 0);
     while lowest < MOMENTS {
-        // The places of the powers 0 to 4 beside these powers of the other coordinates.
+        // The places of the powers 0 to 4 of this coordinate, for these powers of the others.
         let (mut places, mut powers, mut place) = ([0; 5], 0, lowest);
         while exponents[lowest][axis] == 0 && place < MOMENTS {
             if differ_along(axis, &exponents[lowest], &exponents[place]) {
@@ -56,7 +58,7 @@ pub(crate) const fn shifts<const AXES: usize, const MOMENTS: usize, const SHARES
     table
 }
 
-/// Whether the exponents are the same but for those of one axis.
+/// Returns whether the exponents differ only along one axis.
 const fn differ_along<const AXES: usize>(axis: usize, a: &[usize; AXES], b: &[usize; AXES]) -> bool {
     let mut other = 0;
     while other < AXES {
@@ -76,18 +78,18 @@ pub struct PlaneMoments {
 }
 
 impl PlaneMoments {
-    /// The moments of no points, about `origin`.
+    /// Returns the moments of no points, about `origin`.
     pub fn new(origin: [f64; 2]) -> Self {
         Self { origin, sums: [0.0; MOMENTS] }
     }
 
-    /// Moments that were summed elsewhere, ordered by degree, then by falling p:
-    /// 1, s, t, s2, st, t2, s3, s2t, st2, t3, s4, s3t, s2t2, st3, t4.
+    /// Returns moments that were summed elsewhere, ordered by degree, then by falling p: 1, s, t, s2, st, t2, s3, s2t, st2, t3,
+    /// s4, s3t, s2t2, st3, t4.
     pub fn from_sums(origin: [f64; 2], sums: [f64; MOMENTS]) -> Self {
         Self { origin, sums }
     }
 
-    /// The moments of `points` about `origin`.
+    /// Returns the moments of `points` about `origin`.
     pub fn of(origin: [f64; 2], points: impl IntoIterator<Item = [f64; 2]>) -> Self {
         let mut moments = Self::new(origin);
         points.into_iter().for_each(|point| moments.add(point));
@@ -104,14 +106,14 @@ impl PlaneMoments {
         &self.sums
     }
 
-    /// Place of the moment of exponents p and q among the sums, p + q <= 4.
+    /// Returns the index of the moment with the exponents p and q among the sums, p + q <= 4.
     #[inline]
     pub(crate) const fn place(p: usize, q: usize) -> usize {
         let degree = p + q;
         degree * (degree + 1) / 2 + q
     }
 
-    /// `sum (s - s0)^p (t - t0)^q`.
+    /// Returns `sum (s - s0)^p (t - t0)^q`.
     ///
     /// # Panics
     /// p + q is more than 4.
@@ -138,7 +140,7 @@ impl PlaneMoments {
         }
     }
 
-    /// The same points, seen from another origin.
+    /// Returns the moments of the same points about another origin.
     #[must_use]
     pub fn about(&self, origin: [f64; 2]) -> Self {
         let (ds, dt) = (self.origin[0] - origin[0], self.origin[1] - origin[1]);
@@ -151,7 +153,7 @@ impl PlaneMoments {
         moved
     }
 
-    /// The moments of the same points with all offsets from the origin multiplied by `factor`.
+    /// Returns the moments of the points with all offsets from the origin multiplied by `factor`.
     #[must_use]
     pub fn scaled(&self, factor: f64) -> Self {
         let mut scaled = *self;
@@ -161,7 +163,7 @@ impl PlaneMoments {
         scaled
     }
 
-    /// The moments of the points `map * p`, rows of the matrix first.
+    /// Returns the moments of the points `map * p`; `map` has the rows of the matrix.
     #[must_use]
     pub fn mapped(&self, map: [[f64; 2]; 2]) -> Self {
         let image = |[s, t]: [f64; 2]| map.map(|[a, b]| a * s + b * t);
@@ -177,13 +179,13 @@ impl PlaneMoments {
         mapped
     }
 
-    /// Mean of the points, if there are any.
+    /// Returns the mean of the points; `None` without points.
     pub fn mean(&self) -> Option<[f64; 2]> {
         let count = self.count();
         (count > 0.0).then(|| [self.origin[0] + self.sums[1] / count, self.origin[1] + self.sums[2] / count])
     }
 
-    /// Variances and covariance of the points `[var s, cov st, var t]`, if there are any.
+    /// Returns the variances and the covariance of the points `[var s, cov st, var t]`; `None` without points.
     pub fn covariance(&self) -> Option<[f64; 3]> {
         let count = self.count();
         if count <= 0.0 {
@@ -193,7 +195,7 @@ impl PlaneMoments {
         Some([self.sums[3] / count - s * s, self.sums[4] / count - s * t, self.sums[5] / count - t * t])
     }
 
-    /// The points seen from their mean, in units of their spread: `(mean, spread, moments divided by the count)`.
+    /// Returns the points relative to their mean, in units of their spread: `(mean, spread, moments divided by the count)`.
     ///
     /// All fits of higher degree start from here (Hartley 1997: shift and scale before solving). `None` where there are
     /// no points or all of them are the same.
@@ -201,7 +203,7 @@ impl PlaneMoments {
         let mean = self.mean()?;
         let centred = self.about(mean);
         let spread = ((centred.sums[3] + centred.sums[5]) / centred.sums[0]).sqrt();
-        // Below this the spread is what rounding left of the sums, not a spread.
+        // A smaller spread is a rounding error of the sums.
         let resolution = 1e-7 * (self.origin[0] - mean[0]).hypot(self.origin[1] - mean[1]); // [algorithmic]
         if !(spread.is_finite() && spread > resolution.max(f64::MIN_POSITIVE)) {
             return None;
@@ -213,7 +215,7 @@ impl PlaneMoments {
     }
 }
 
-/// Coefficients of `(a s + b t)^p (c s + d t)^q`, by rising power of t.
+/// Returns the coefficients of `(a s + b t)^p (c s + d t)^q`, by rising power of t.
 fn binary_form(map: [[f64; 2]; 2], p: usize, q: usize) -> [f64; 5] {
     let mut form = [1.0, 0.0, 0.0, 0.0, 0.0];
     for factor in 0..p + q {

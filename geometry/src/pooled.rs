@@ -1,8 +1,8 @@
-//! Levenberg and Marquardt's fit of a surface to the pooled moments of its points: closed form, O(1) an iteration.
+//! Levenberg-Marquardt fit of a surface to the pooled moments of its points: closed form, O(1) per iteration.
 //!
-//! With `M = sum m m'` the sum of squared distances is `q' M q`, its gradient `2 J' M q`, the Gauss-Newton matrix
-//! `2 J' M J`, `J = dq/dtheta`. Unbiased moments may leave M slightly indefinite and the least sum slightly below zero:
-//! the damping holds, and below zero is as good as zero.
+//! With `M = sum m m'` the sum of squared distances is `q' M q`, its gradient is `2 J' M q`, and the Gauss-Newton matrix is `2 J'
+//! M J`, `J = dq/dtheta`. Unbiased moments may leave M slightly indefinite and the least sum slightly negative: the damping keeps
+//! the steps stable, and a sum below zero is as good as zero.
 
 use crate::space::{dot, monomials};
 use crate::{Coefficients, Contour, ContourTerm, QuadricMoments, Surface, Vector3, gradient};
@@ -10,20 +10,20 @@ use nalgebra::{SMatrix, SVector};
 
 /// Most steps of a fit.
 const MAX_STEPS: usize = 8; // [algorithmic]
-/// The damping of the first step, and by how much it grows after a step that led nowhere, and shrinks after one that led on
-/// (Levenberg 1944, Marquardt 1963).
+/// Damping of the first step, and the factor by which it grows after a failed step and shrinks after a successful one (Levenberg
+/// 1944, Marquardt 1963).
 const DAMPING: f64 = 1e-3; // [algorithmic]
 const DAMPING_STEP: f64 = 10.0; // [algorithmic]
-/// The least damping after a step that led nowhere.
+/// Least damping after a failed step.
 const LEAST_DAMPING: f64 = 1e-6; // [algorithmic]
-/// A step shorter than this (in spreads of the points, and radians) ends the fit.
+/// A shorter step ends the fit; in spreads of the points, and radians.
 const SHORT: f64 = 1e-4; // [algorithmic]
 
-/// A step that lowers the sum of squares by less than this ends the fit: noise makes that sum scatter by more than one.
+/// A step that lowers the sum of squares by less ends the fit: noise makes that sum scatter by more than one.
 const SLIGHT: f64 = 5e-2; // [algorithmic]
-/// A fit is given up at a step that gains less than this part of what is missing; the next steps gain less still.
+/// A fit is given up at a step that gains less than this part of the excess over `most`; later steps gain even less.
 const HOPELESS: f64 = 0.1; // [algorithmic]
-/// A fit is given up only at a step of at most this damping, because a damped step does not show how much there is to gain.
+/// A fit is given up only at a step with less damping than this, because a damped step does not show the possible gain.
 const FREE: f64 = 0.1; // [algorithmic]
 
 /// A fitted surface.
@@ -33,17 +33,17 @@ pub struct SurfaceFit<S, const N: usize> {
     pub surface: S,
     /// Sum of the squared distances, each times the weight of its point.
     pub square_sum: f64,
-    /// The same of the contour.
+    /// The same sum over the contour.
     pub contour_sum: f64,
-    /// Inverse of the Gauss-Newton matrix: the covariance of the parameters, were the distances of the points
-    /// independent and of a variance of one over their weights.
+    /// Inverse of the Gauss-Newton matrix. It is the covariance of the parameters if the distances of the points are independent
+    /// and have a variance of one over their weights.
     pub inverse: SMatrix<f64, N, N>,
     /// The contour's part of the Gauss-Newton matrix.
     pub contour: SMatrix<f64, N, N>,
 }
 
-/// Fits a surface of which `start` is a guess, to points that are pooled with the weights of one over their variance;
-/// `None` where they do not determine one near it, or as soon as the sum of squares will surely stay above `most`.
+/// Fits a surface to points that are pooled with weights of one over their variance; `start` is a guess. `None` where the points
+/// do not determine a surface near it, or as soon as the sum of squares will surely stay above `most`.
 pub fn fit_surface<S: Surface<N>, const N: usize>(
     moments: &QuadricMoments,
     start: &S,
@@ -52,7 +52,7 @@ pub fn fit_surface<S: Surface<N>, const N: usize>(
     fit(moments, None, start, most)
 }
 
-/// Fits it to the points and to the contour that it shows; `square_sum` stays that of the points alone.
+/// Fits a surface to points and to their contour; `square_sum` stays that of the points alone.
 pub fn fit_with_contour<S: Surface<N>, const N: usize>(
     moments: &QuadricMoments,
     contour: &Contour,
@@ -106,7 +106,7 @@ fn fit<S: Surface<N>, const N: usize>(
     square_sum.is_finite().then_some(SurfaceFit { surface, square_sum, contour_sum, inverse, contour })
 }
 
-/// Scatter of a fit's gradient, from points that stand for all.
+/// Scatter of a fit's gradient, from sample points.
 ///
 /// Noise along the ray moves a point less across the surface the more the ray grazes it: `variance (dF/dz)^2`. The
 /// covariance of the parameters is then not the inverse `A^-1` of the Gauss-Newton matrix but `A^-1 B A^-1`, with
@@ -119,12 +119,12 @@ pub struct GradientNoise<const N: usize> {
 }
 
 impl<const N: usize> GradientNoise<N> {
-    /// No points yet, on a surface in the camera frame.
+    /// Starts without points, on a surface in the camera frame.
     pub fn new<S: Surface<N>>(surface: &S) -> Self {
         Self { derivatives: surface.derivatives(), coefficients: surface.coefficients(), matrix: SMatrix::zeros() }
     }
 
-    /// Adds a point; `weight` is the sum of `w^2 variance` over the points that it stands for.
+    /// Adds a point; `weight` is the sum of `w^2 variance` over the points that it represents.
     pub fn add(&mut self, point: &Vector3, weight: f64) {
         let m = monomials(point);
         let j = SVector::<f64, N>::from_fn(|i, _| dot(&self.derivatives[i], &m));
@@ -132,14 +132,14 @@ impl<const N: usize> GradientNoise<N> {
         self.matrix += j * j.transpose() * (weight * slope * slope);
     }
 
-    /// Covariance of the parameters of a fit. Its contour scatters as it counts, but that so many neighbouring lines share
-    /// where they see it.
+    /// Returns the covariance of the parameters of a fit. The contour scatters as its weight says, times the number of
+    /// neighbouring lines that share its noise.
     pub fn covariance<S>(&self, fit: &SurfaceFit<S, N>, shared_lines: f64) -> SMatrix<f64, N, N> {
         fit.inverse * (self.matrix + fit.contour * shared_lines) * fit.inverse
     }
 }
 
-/// How well a fit tells where its surface is, away from the points that it was fitted to.
+/// Predicts the variance of a fitted surface away from the points of the fit.
 #[derive(Clone, Copy, Debug)]
 pub struct Prediction<const N: usize> {
     derivatives: [Coefficients; N],
@@ -147,12 +147,12 @@ pub struct Prediction<const N: usize> {
 }
 
 impl<const N: usize> Prediction<N> {
-    /// The prediction of a fit whose points were pooled with the weights of one over their variance.
+    /// Creates the prediction of a fit whose points were pooled with weights of one over their variance.
     pub fn new<S: Surface<N>>(fit: &SurfaceFit<S, N>) -> Self {
         Self { derivatives: fit.surface.derivatives(), inverse: fit.inverse }
     }
 
-    /// Variance of the distance of `point` from the surface that the uncertainty of the fit makes, in square metres.
+    /// Returns the variance of the distance of `point` from the surface due to the uncertainty of the fit, in square metres.
     pub fn variance(&self, point: &Vector3) -> f64 {
         let m = monomials(point);
         let j = SVector::<f64, N>::from_fn(|i, _| dot(&self.derivatives[i], &m));
@@ -170,8 +170,8 @@ pub(crate) struct System<const N: usize> {
 }
 
 impl<const N: usize> System<N> {
-    /// Those of the quadric `q`; `None` where its sum of squares exceeds `most`: of such a surface no more is computed than has
-    /// to be.
+    /// Returns the system of the quadric `q`; `None` where its sum of squares exceeds `most`, after as little computation as
+    /// possible.
     pub(crate) fn below(
         most: f64,
         moments: &QuadricMoments,
@@ -212,7 +212,7 @@ impl<const N: usize> System<N> {
         self.square_sum + self.contour_sum
     }
 
-    /// The step that solves the damped equations; `None` where they are not positive definite.
+    /// Solves the damped equations for a step; `None` where they are not positive definite.
     fn step(&self, damping: f64) -> Option<[f64; N]> {
         let mut damped = self.matrix;
         let floor = 1e-12 * self.matrix.diagonal().amax(); // [algorithmic]
@@ -221,8 +221,8 @@ impl<const N: usize> System<N> {
         Some(std::array::from_fn(|i| step[i]))
     }
 
-    /// Directions of which the points tell so little that the correction for noise leaves less than nothing get a small
-    /// share of what the others have: they are known badly, and say so.
+    /// Returns the inverse of the matrix. A direction in which the noise correction leaves a curvature below zero gets a small
+    /// share of the diagonal, which gives it a large variance.
     pub(crate) fn inverse(&self, scale: f64, lengths: &[bool; N]) -> Option<SMatrix<f64, N, N>> {
         let damped = |share: f64| {
             let mut matrix = self.matrix;

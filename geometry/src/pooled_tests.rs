@@ -4,7 +4,7 @@ use super::*;
 use crate::simulated::{CAMERA, Random, exact, hit, of_exact, seen};
 use crate::{Conical, Scan, SpaceMoments, Sphere, Vector3};
 
-/// What a Kinect v1 makes of a depth: Nguyen, Izadi and Lovell (2012), and steps of the disparity.
+/// A depth as a Kinect v1 measures it, and its variance: Nguyen, Izadi and Lovell (2012), and steps of the disparity.
 fn kinect(z: f64, random: &mut Random) -> (f64, f64) {
     let (axial, step) = (0.0012 + 0.0019 * (z - 0.4).powi(2), 1.0 / (8.0 * 580.0 * 0.075));
     let noisy = z + axial * random.normal();
@@ -189,7 +189,8 @@ fn a_direction_that_points_tell_less_than_nothing_of_is_known_badly_and_the_othe
         let matrix = unit * SMatrix::<f64, 2, 2>::new(1.0, 1.00001, 1.00001, 1.0) * unit;
         let system = System { square_sum: 0.0, contour_sum: 0.0, gradient: SVector::zeros(), matrix, contour: matrix };
         let inverse = unit * system.inverse(1.0, &[true; 2]).unwrap() * unit;
-        // (x + y) / sqrt(2) is of curvature 2, and of (x - y) / sqrt(2) there is a ten thousandth of the others'.
+        // (x + y) / sqrt(2) has the curvature 2. That of (x - y) / sqrt(2) is negative, and is damped to about a ten thousandth
+        // of it.
         let [sum, difference] = [[1.0, 1.0], [1.0, -1.0]].map(SVector::from).map(|v| v.dot(&(inverse * v)) / 2.0);
         assert!(
             (sum - 0.5).abs() < 1e-3 && (5e3..2e4).contains(&difference),
@@ -239,7 +240,7 @@ fn where_moments_tell_less_than_nothing_of_a_direction_a_fit_goes_on_in_the_othe
     pool.add(&seen(&sphere.coefficients(), 96..144, 0.0, exact), 1.0 / 9e-6);
     let mut pool = pool.normalized().unwrap();
     let start = Sphere { center: Vector3::new(0.03, -0.02, 1.52), radius: 0.14 };
-    // A tenth more is taken off than they tell of a ball that grows as it goes away.
+    // Subtracts a tenth more than the moments hold on a ball that grows as it moves away.
     let [_, _, depth, radius] = start.to_local(&pool.origin, pool.scale).derivatives();
     let both: Coefficients = std::array::from_fn(|i| depth[i] + radius[i]);
     let told = pool.times(&both);

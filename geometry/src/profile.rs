@@ -1,7 +1,7 @@
-//! Radius over position along the axis, the paper's (z, r) space: a straight line is a cylinder or a cone, a circle with
-//! its centre on the z axis is a sphere.
+//! Radius over position along the axis, the paper's (z, r) space: a straight line is a cylinder or a cone, a circle with its
+//! centre on the z axis is a sphere.
 //!
-//! Both come from the same moments of the pairs `(z, r)`, so that a section more is O(1).
+//! Both fits use the same moments of the pairs `(z, r)`, so one more section costs O(1).
 
 use crate::{Fit, PlaneMoments};
 
@@ -44,7 +44,7 @@ pub fn fit_line_profile(pairs: &PlaneMoments) -> Option<Fit> {
 /// no extent along z.
 pub fn fit_circle_profile(pairs: &PlaneMoments) -> Option<CircleProfile> {
     let n = pairs.count();
-    // About the mean of z, with r still counted from the axis.
+    // Moves the origin to the mean of z; r still counts from the axis.
     let at = pairs.mean()?[0];
     let m = pairs.about([at, 0.0]);
     let zz = m.get(2, 0);
@@ -59,7 +59,7 @@ pub fn fit_circle_profile(pairs: &PlaneMoments) -> Option<CircleProfile> {
     // The algebraic residual is 2 R times the distance.
     let rms = (residual / (n - 2.0)).sqrt() / (2.0 * radius);
     let center_sigma = rms * radius / zz.sqrt();
-    // Of R^2 = K + z0^2, about the mean of z, where K and z0 do not depend on each other.
+    // From R^2 = K + z0^2, about the mean of z, where K and z0 are independent.
     let radius_sigma = (rms / n.sqrt()).hypot(center / radius * center_sigma);
     let finite = radius.is_finite() && center.is_finite() && radius > 0.0;
     finite.then_some(CircleProfile { center: at + center, radius, rms, center_sigma, radius_sigma })
@@ -104,7 +104,7 @@ mod tests {
         assert!(sphere.rms > 5e-4 && sphere.rms < 3e-3);
     }
 
-    /// The radius of a cap hangs on where its centre is told to be.
+    /// The radius of a cap depends on the estimate of its centre.
     #[test]
     fn the_sigma_of_the_radius_of_a_cap_is_that_of_its_errors() {
         let mut random = Random(3);

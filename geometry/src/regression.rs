@@ -1,4 +1,4 @@
-//! Least squares of `y = a + b x` with running sums, and the standard errors that come with it.
+//! Least squares of `y = a + b x` with running sums, and their standard errors.
 
 /// Running sums over pairs: one more pair is O(1).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -73,7 +73,7 @@ impl Regression {
         if self.count > 1.0 { (self.yy / (self.count - 1.0)).max(0.0).sqrt() } else { 0.0 }
     }
 
-    /// The line; `None` where there are fewer than three pairs or all x are the same.
+    /// Returns the line of least squares; `None` for fewer than three pairs or where all x are the same.
     pub fn fit(&self) -> Option<Fit> {
         if self.count < 3.0 || self.xx.is_nan() || self.xx <= 0.0 {
             return None;
@@ -130,7 +130,7 @@ mod tests {
         }
         sums.add(12.0, 0.0);
         let fit = sums.fit().unwrap();
-        // The residuals are -1/3, 2/3, -1/3, and the x are 1 off their mean on both sides.
+        // The residuals are -1/3, 2/3, -1/3, and the outer x are 1 off their mean.
         let rms = (6.0_f64 / 9.0).sqrt();
         let expected = [11.0, 1.0 / 3.0, 0.0, rms, rms / 3.0_f64.sqrt(), rms / 2.0_f64.sqrt()];
         let found = [fit.middle, fit.value, fit.slope, fit.rms, fit.value_sigma, fit.slope_sigma];

@@ -1,4 +1,4 @@
-//! What a plane cuts out of a cylinder or a cone: how the cut's extents tell the radius, and where its centre lies.
+//! The section of a cylinder or a cone by a plane: its extents give the radius, and its centre the axis.
 //!
 //! Take a cone with apex a, half-angle phi and unit axis d away from the apex, cut by a plane with unit normal n, and
 //! `d = n cos e + g sin e` with g a unit vector of the plane. The cut is an ellipse while `cos e > sin phi`. Let the
@@ -28,12 +28,12 @@ pub struct SectionShape {
 }
 
 impl SectionShape {
-    /// The section of a body with unit axis `axis` and half-angle `half_angle` (0: a cylinder) by `plane`; the axis of a
-    /// cone points away from its apex. `None` where the plane cuts no ellipse, or one too long to be of use.
+    /// Returns the section by `plane` of a body with unit axis `axis` and half-angle `half_angle` (0: a cylinder); the axis of a
+    /// cone points away from its apex. `None` where the plane cuts no ellipse, or one that is too long.
     pub fn new(plane: &ScanPlane, axis: &Vector3, half_angle: f64) -> Option<Self> {
         let cosine2 = axis.dot(&plane.normal()).powi(2);
         let steepness = cosine2 - half_angle.sin().powi(2);
-        // The cut is more than 30 times as long as it is wide. [algorithmic]
+        // The section is more than 30 times as long as it is wide. [algorithmic]
         if steepness < 1e-3 {
             return None;
         }
@@ -49,9 +49,9 @@ impl SectionShape {
         Some(Self { width, depth, center: [shift * s, shift * t], minor, long_axis, ratio: stretch(sine) })
     }
 
-    /// The section of this shape through an arc's points: its centre and rho.
+    /// Fits a section of this shape to the points of an arc; returns its centre and rho.
     ///
-    /// Pressed along its longer axis the ellipse is a circle, which a short noisy arc determines far better than a free
+    /// Compressed along its longer axis the ellipse is a circle, which a short noisy arc determines far better than a free
     /// ellipse.
     pub fn fit(&self, moments: &PlaneMoments) -> Option<Circle> {
         let circle = fit_circle(&moments.mapped(self.along_long_axis(1.0 / self.ratio)))?;
@@ -60,7 +60,7 @@ impl SectionShape {
         Some(Circle { center: [a * s + b * t, c * s + d * t], radius: circle.radius / self.minor })
     }
 
-    /// The map that multiplies lengths along the longer axis by `factor`.
+    /// Returns the map that multiplies lengths along the longer axis by `factor`.
     fn along_long_axis(&self, factor: f64) -> [[f64; 2]; 2] {
         let [s, t] = self.long_axis;
         let more = factor - 1.0;

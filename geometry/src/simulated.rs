@@ -1,11 +1,11 @@
-//! Surfaces as a camera sees them in some rows, for the tests of the fits.
+//! Surfaces as a camera sees them in some rows, for tests of the fits.
 
 use crate::{Coefficients, Pinhole, QuadricMoments, RaySums, Scan, ScanPlane, SpaceMoments, section_of};
 
 /// A Kinect v1 at half its resolution.
 pub const CAMERA: Pinhole = Pinhole { fx: 290.0, fy: 290.0, cx: 159.5, cy: 119.5 };
 
-/// Random numbers that are the same in each run (splitmix64).
+/// Random numbers that are the same in each run (SplitMix64).
 pub struct Random(pub u64);
 
 impl Random {
@@ -17,14 +17,14 @@ impl Random {
         ((x ^ (x >> 31)) >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// Mean 0, standard deviation 1 (Box and Muller).
+    /// Returns a number with mean 0 and standard deviation 1 (Box-Muller transform).
     pub fn normal(&mut self) -> f64 {
         let radius = (-2.0 * (1.0 - self.uniform()).ln()).sqrt();
         radius * (std::f64::consts::TAU * self.uniform()).cos()
     }
 }
 
-/// The nearer root of `F = 0` along a ray, if the ray meets the surface.
+/// Returns the nearer root of `F = 0` along a ray, if the ray meets the surface.
 pub fn hit(conic: &[f64; 6], x: f64, k: f64) -> Option<f64> {
     let a = conic[0] * x * x + conic[1] * x * k + conic[2] * k * k;
     let b = conic[3] * x + conic[4] * k;
@@ -32,7 +32,8 @@ pub fn hit(conic: &[f64; 6], x: f64, k: f64) -> Option<f64> {
     (discriminant > 0.0).then(|| (-b - discriminant.sqrt()) / (2.0 * a))
 }
 
-/// The pool of a surface as seen in some rows, `hidden` of each arc taken off at one side; noise as `measure` makes it.
+/// Returns the moments of a surface that is seen in some rows, with the share `hidden` of each arc removed on one side; `measure`
+/// returns the measured depth and its variance.
 pub fn seen(
     q: &Coefficients,
     rows: std::ops::Range<u32>,
@@ -53,12 +54,12 @@ pub fn seen(
     pool
 }
 
-/// A depth without noise, and its variance.
+/// Returns a depth without noise, and its variance.
 pub fn exact(z: f64) -> (f64, f64) {
     (z, 0.0)
 }
 
-/// Points, weighed as those that are known to a hundredth of a micrometre.
+/// Returns the moments of points with the weight of an accuracy of a hundredth of a micrometre.
 pub fn of_exact(points: &SpaceMoments) -> QuadricMoments {
     let mut pool = SpaceMoments::default();
     pool.add(points, 1e16);

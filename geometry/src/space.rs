@@ -1,4 +1,4 @@
-//! Moments of points in space: all that the fit of a quadric needs to know of the points of many arcs.
+//! Moments of points in space, which suffice to fit a quadric to the points of many arcs.
 //!
 //! The points of an arc lie in a scan plane, where `p = (s, t y / k, t / k)` for a row of slope y and stretch k. So each
 //! of the 35 moments `sum X^a Y^b Z^c`, a + b + c <= 4, is one plane moment times a constant,
@@ -21,11 +21,12 @@ pub type Coefficients = [f64; QUADRIC_TERMS];
 /// Exponents `[a, b, c]` of each moment.
 const EXPONENTS: [[usize; 3]; SPACE_MOMENTS] = exponents();
 
-/// For each axis, which moments get a share of which as the origin moves along it, in this order.
+/// For each axis: pairs of moments, to the first of which a share of the second is added as the origin moves along it, in this
+/// order.
 const SHIFTS: [[[usize; 2]; SPACE_MOMENTS]; 3] = [shifts(&EXPONENTS, 0), shifts(&EXPONENTS, 1), shifts(&EXPONENTS, 2)];
 
-/// For each moment, of the points of a row or a column: the powers of the slope across the scan line and of the way
-/// forward that it is made of, and the place of the plane moment.
+/// For each moment of the points of a row or a column: its powers of the slope across the scan line and of the forward component,
+/// and the index of its plane moment.
 const OF_ROW: [[usize; 3]; SPACE_MOMENTS] = of_arc(false);
 const OF_COLUMN: [[usize; 3]; SPACE_MOMENTS] = of_arc(true);
 
@@ -33,7 +34,7 @@ const OF_COLUMN: [[usize; 3]; SPACE_MOMENTS] = of_arc(true);
 const QUADRIC: [[usize; 3]; QUADRIC_TERMS] =
     [[2, 0, 0], [0, 2, 0], [0, 0, 2], [1, 1, 0], [1, 0, 1], [0, 1, 1], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 0]];
 
-/// For each pair of the quadric's monomials, the place of the moment that is their product.
+/// For each pair of the quadric's monomials, the index of the moment that is their product.
 const PRODUCTS: [[usize; QUADRIC_TERMS]; QUADRIC_TERMS] = products();
 
 const fn exponents() -> [[usize; 3]; SPACE_MOMENTS] {
@@ -55,7 +56,7 @@ const fn exponents() -> [[usize; 3]; SPACE_MOMENTS] {
     table
 }
 
-/// Place of the moment with these exponents, a + b + c <= 4.
+/// Returns the index of the moment with these exponents, a + b + c <= 4.
 const fn place(a: usize, b: usize, c: usize) -> usize {
     let (degree, rest) = (a + b + c, b + c);
     degree * (degree + 1) * (degree + 2) / 6 + rest * (rest + 1) / 2 + c
@@ -97,7 +98,7 @@ impl Default for SpaceMoments {
     }
 }
 
-/// The points of a pool, seen from their mean in units of their spread: the matrix `sum m m'` of the quadric monomials.
+/// The moments of a pool about its mean in units of its spread: the matrix `sum m m'` of the quadric monomials.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct QuadricMoments {
     /// The mean of the points.
@@ -109,13 +110,13 @@ pub struct QuadricMoments {
 }
 
 impl SpaceMoments {
-    /// The points of an arc in the plane `plane`.
+    /// Returns the moments of the points of an arc in the plane `plane`.
     pub fn of_arc(plane: &ScanPlane, moments: &PlaneMoments) -> Self {
         let moments = moments.about([0.0, 0.0]);
         let across = powers(plane.slope() / plane.stretch());
         let forward = powers(1.0 / plane.stretch());
         let moment = |[beside, c, place]: [usize; 3]| across[beside] * forward[c] * moments.sums()[place];
-        // Each table by itself: its places are then known when this is compiled.
+        // One branch per table, so that the indices are known at compile time.
         let sums = match plane.scan() {
             Scan::Row => std::array::from_fn(|i| moment(OF_ROW[i])),
             Scan::Column => std::array::from_fn(|i| moment(OF_COLUMN[i])),
@@ -123,12 +124,12 @@ impl SpaceMoments {
         Self { sums }
     }
 
-    /// Adds points that count `weight` times.
+    /// Adds points with the weight `weight`.
     pub fn add(&mut self, other: &Self, weight: f64) {
         self.sums.iter_mut().zip(&other.sums).for_each(|(sum, term)| *sum += weight * term);
     }
 
-    /// `sum X^a Y^b Z^c`.
+    /// Returns `sum X^a Y^b Z^c`.
     fn get(&self, a: usize, b: usize, c: usize) -> f64 {
         self.sums[place(a, b, c)]
     }
@@ -143,7 +144,7 @@ impl SpaceMoments {
         Vector3::new(self.get(1, 0, 0), self.get(0, 1, 0), self.get(0, 0, 1)) / self.weight()
     }
 
-    /// Least variance of the points along any direction: their mean square distance from a plane.
+    /// Returns the least variance of the points along any direction: their mean square distance from a plane.
     pub fn least_variance(&self) -> f64 {
         let (n, mean) = (self.weight(), self.mean());
         let second = [[2, 0, 0], [1, 1, 0], [1, 0, 1], [0, 2, 0], [0, 1, 1], [0, 0, 2]];
@@ -152,7 +153,7 @@ impl SpaceMoments {
         outer.symmetric_eigenvalues().min()
     }
 
-    /// The same points as the fits take them; `None` where there are none, or all of them are the same.
+    /// Returns the normalised moments for fits; `None` where there are no points, or all of them are the same.
     pub fn normalized(&self) -> Option<QuadricMoments> {
         let origin = self.mean();
         let mut local = *self;
@@ -161,7 +162,7 @@ impl SpaceMoments {
         local.shift::<2>(-origin.z);
         let trace = local.get(2, 0, 0) + local.get(0, 2, 0) + local.get(0, 0, 2);
         let scale = (trace / self.weight()).sqrt();
-        // A nanometre is no extent. [algorithmic]
+        // An extent of a nanometre counts as none. [algorithmic]
         if !(scale.is_finite() && scale > 1e-9) {
             return None;
         }
@@ -173,14 +174,14 @@ impl SpaceMoments {
         Some(QuadricMoments { origin, scale, matrix })
     }
 
-    /// Moves the origin along an axis by as much as the points are to move: the binomial theorem, in place.
+    /// Shifts the points by `by` along an axis: the binomial theorem, in place.
     fn shift<const AXIS: usize>(&mut self, by: f64) {
         SHIFTS[AXIS].iter().for_each(|[to, from]| self.sums[*to] += by * self.sums[*from]);
     }
 }
 
 impl QuadricMoments {
-    /// The sphere of least algebraic distance `sum (|p|^2 + b.p + c)^2`, in the camera frame: a start for better fits.
+    /// Returns the sphere of least algebraic distance `sum (|p|^2 + b.p + c)^2`, in the camera frame: a start for better fits.
     pub fn sphere(&self) -> Option<Sphere> {
         let m = &self.matrix;
         let normal = Matrix4::from_fn(|i, j| m[6 + i][6 + j]);
@@ -191,7 +192,7 @@ impl QuadricMoments {
         (square > 0.0).then(|| Sphere { center: self.origin + center * self.scale, radius: square.sqrt() * self.scale })
     }
 
-    /// The points as `(u.p, v.p)`, for two unit vectors that are perpendicular to each other; in the frame of the fits.
+    /// Returns the moments of the points `(u.p, v.p)` for two perpendicular unit vectors, in the frame of the fits.
     pub fn seen_along(&self, u: &Vector3, v: &Vector3) -> ArcMoments {
         let linear = |a: &Vector3| [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, a.x, a.y, a.z, 0.0];
         let square = |i: usize, j: usize| u[i] * u[j] + v[i] * v[j];
@@ -206,11 +207,11 @@ impl QuadricMoments {
         ArcMoments::from_means(count, [mx[9] / count, my[9] / count], squares, cubes, mean(&mq, &q))
     }
 
-    /// `q' (sum m m')`: its product with the coefficients of another quadric is the sum of the products of both over the
+    /// Returns `q' (sum m m')`; its product with the coefficients of another quadric is the sum of the products of both over the
     /// points.
     pub fn times(&self, q: &Coefficients) -> Coefficients {
         let mut product = [0.0; QUADRIC_TERMS];
-        // Half of the coefficients of most derivatives are zero.
+        // Most derivatives have zeros in half of their coefficients.
         for (row, factor) in self.matrix.iter().zip(q).filter(|(_, factor)| **factor != 0.0) {
             product.iter_mut().zip(row).for_each(|(sum, entry)| *sum += factor * entry);
         }
@@ -218,7 +219,7 @@ impl QuadricMoments {
     }
 }
 
-/// Sum of the products.
+/// Returns the sum of the products.
 #[inline]
 pub(crate) fn dot(a: &Coefficients, b: &Coefficients) -> f64 {
     let two = std::array::from_fn(|i| {
@@ -228,12 +229,12 @@ pub(crate) fn dot(a: &Coefficients, b: &Coefficients) -> f64 {
     even + odd
 }
 
-/// The monomials of a quadric at a point.
+/// Returns the monomials of a quadric at a point.
 pub(crate) fn monomials(p: &Vector3) -> Coefficients {
     [p.x * p.x, p.y * p.y, p.z * p.z, p.x * p.y, p.x * p.z, p.y * p.z, p.x, p.y, p.z, 1.0]
 }
 
-/// The powers 0 to 4.
+/// Returns the powers 0 to 4.
 fn powers(x: f64) -> [f64; 5] {
     [1.0, x, x * x, x * x * x, x * x * x * x]
 }
@@ -297,7 +298,7 @@ mod tests {
         let mut pool = SpaceMoments::default();
         for row in [60.0, 90.0, 150.0] {
             let plane = CAMERA.plane(Scan::Row, row);
-            // Where the rays meet the plane 1.5 m away, and as far before it as behind it.
+            // Points on the rays, alternately before and behind the plane at 1.5 m by the same distance.
             let points = (0..40).map(|i| 0.01 * f64::from(i / 2)).zip([0.02, -0.02].into_iter().cycle());
             let on = |x: f64, off: f64| {
                 let ray = plane.to_camera([x, plane.stretch()]);

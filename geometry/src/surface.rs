@@ -4,7 +4,7 @@
 //! - sphere: `(|p - c|^2 - R^2) / (2 R)`
 //! - cylinder and cone, with `x = p - c`, unit axis d, slope `tau = tan phi`, and the radius `R + tau d.x` along the axis:
 //!   `cos phi ((|x|^2 - (d.x)^2 - (R + tau d.x)^2) / (2 R))`; a cylinder has tau = 0. Where a cone is wider or narrower
-//!   than R by a factor g, F is too great by g: whoever pools its arcs weighs each by `1 / g^2`.
+//!   than R by a factor g, F is too large by g, so pooled arcs have the weight `1 / g^2`.
 
 use crate::{Coefficients, Conic, Scan, ScanPlane, Vector3};
 use nalgebra::Matrix3;
@@ -17,16 +17,16 @@ pub trait Surface<const N: usize>: Copy {
     /// Their derivatives by the parameters.
     fn derivatives(&self) -> [Coefficients; N];
 
-    /// The surface whose parameters differ by `step`; `None` where there is none.
+    /// Returns the surface whose parameters differ by `step`; `None` where there is no such surface.
     fn moved(&self, step: &[f64; N]) -> Option<Self>;
 
-    /// For each parameter whether it is a length.
+    /// Returns for each parameter whether it is a length.
     fn lengths() -> [bool; N];
 
-    /// The surface in a frame with this origin, whose unit of length is `scale`.
+    /// Returns the surface in a frame with this origin, whose unit of length is `scale`.
     fn to_local(&self, origin: &Vector3, scale: f64) -> Self;
 
-    /// The surface, given in a frame with this origin and unit of length.
+    /// Returns the surface, given in a frame with this origin and unit of length, in the camera frame.
     fn to_camera(&self, origin: &Vector3, scale: f64) -> Self;
 }
 
@@ -41,8 +41,8 @@ pub struct Sphere {
 
 /// A circular cylinder (slope 0) or cone without ends.
 ///
-/// As a [`Surface`] it has 5 parameters where the slope is kept: two tilts of the axis, two shifts across it, the radius. Where the
-/// slope is free, it is the sixth.
+/// As a [`Surface`] it has 5 parameters if the slope is fixed: two tilts of the axis, two shifts across it, the radius. A free
+/// slope is the sixth.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Conical {
     /// A point on the axis.
@@ -56,8 +56,9 @@ pub struct Conical {
 }
 
 impl Sphere {
-    /// The forms by which other quadrics differ from it: F plus x times one of them is off it by about `x R / 2`, outwards in
-    /// some directions and inwards in others. Together they are the harmonics of second degree, of one norm.
+    /// Returns the forms by which nearby quadrics differ from the sphere: the surface of F plus x times one of them is off the
+    /// sphere by about `x R / 2`, outwards in some directions and inwards in others. Together they are the harmonics of second
+    /// degree, all of the same norm.
     pub fn departures(&self) -> [Coefficients; 5] {
         let third = 1.0 / 3.0_f64.sqrt();
         let forms = [
@@ -111,25 +112,26 @@ impl Surface<4> for Sphere {
 }
 
 impl Conical {
-    /// The radius where the axis passes `point`.
+    /// Returns the radius where the axis passes `point`.
     pub fn radius_at(&self, point: &Vector3) -> f64 {
         self.radius + self.slope * self.axis.dot(&(point - self.point))
     }
 
-    /// The same surface, its point moved along the axis to the foot of `point`.
+    /// Returns the same surface with its point moved along the axis to the foot of `point`.
     #[must_use]
     pub fn anchored(&self, point: &Vector3) -> Self {
         self.moved_along(self.axis.dot(&(point - self.point)))
     }
 
-    /// The same surface, its point moved along the axis to where that pierces a scan plane; no numbers where it does not.
+    /// Returns the same surface with its point moved along the axis to the intersection with a scan plane; not finite if there is
+    /// none.
     #[must_use]
     pub fn pierced_by(&self, plane: &ScanPlane) -> Self {
         let normal = plane.normal();
         self.moved_along(-normal.dot(&self.point) / normal.dot(&self.axis))
     }
 
-    /// The same surface, its point moved so far along the axis.
+    /// Returns the same surface with its point moved by this distance along the axis.
     fn moved_along(&self, along: f64) -> Self {
         Self { point: self.point + self.axis * along, radius: self.radius + self.slope * along, ..*self }
     }
@@ -139,7 +141,7 @@ impl Conical {
         self.slope.atan()
     }
 
-    /// Where the radius is zero.
+    /// Returns the point at which the radius is zero.
     pub fn apex(&self) -> Vector3 {
         self.point - self.axis * (self.radius / self.slope)
     }
@@ -154,8 +156,8 @@ impl Conical {
         across(&self.axis)
     }
 
-    /// The forms by which an oval section differs from a round one: F plus x times one of them is off it by up to `x R / 2`,
-    /// outwards along one direction across the axis and inwards along the other.
+    /// Returns the forms by which an oval section differs from a round one: the surface of F plus x times one of them is off by
+    /// up to `x R / 2`, outwards along one direction across the axis and inwards along the other.
     pub fn departures(&self) -> [Coefficients; 2] {
         let [u, v] = self.across();
         let forms = [u * u.transpose() - v * v.transpose(), symmetric(&u, &v)];
@@ -203,7 +205,7 @@ impl Conical {
         pack(a, b, *e).map(|q| q * cosine)
     }
 
-    /// The surface whose parameters differ by two tilts of the axis, two shifts across it, a radius and a slope.
+    /// Returns the surface after two tilts of the axis, two shifts across it, and changes of the radius and the slope.
     fn stepped(&self, &[tilt_u, tilt_v, shift_u, shift_v, radius, slope]: &[f64; 6]) -> Option<Self> {
         let [u, v] = self.across();
         let axis = (self.axis + u * tilt_u + v * tilt_v).normalize();
@@ -212,19 +214,19 @@ impl Conical {
         (moved.radius > 0.0 && axis.iter().all(|x| x.is_finite())).then_some(moved)
     }
 
-    /// What [`Surface::to_local`] says, however many parameters are free.
+    /// [`Surface::to_local`], whatever the number of free parameters.
     pub(crate) fn to_local(self, origin: &Vector3, scale: f64) -> Self {
         let near = self.anchored(origin);
         Self { point: (near.point - origin) / scale, radius: near.radius / scale, ..self }
     }
 
-    /// What [`Surface::to_camera`] says, however many parameters are free.
+    /// [`Surface::to_camera`], whatever the number of free parameters.
     pub(crate) fn to_camera(self, origin: &Vector3, scale: f64) -> Self {
         Self { point: origin + self.point * scale, radius: self.radius * scale, ..self }
     }
 }
 
-/// Frees the first so many of the parameters of a [`Conical`].
+/// Implements [`Surface`] for a [`Conical`] with its first parameters free.
 macro_rules! free_parameters {
     ($count:literal) => {
         impl Surface<$count> for Conical {
@@ -266,7 +268,7 @@ fn symmetric(u: &Vector3, v: &Vector3) -> Matrix3<f64> {
     u * v.transpose() + v * u.transpose()
 }
 
-/// `x'A x / (2 R)`, with x counted from a point.
+/// Returns the coefficients of `x'A x / (2 R)`, where x is relative to a point.
 fn about(a: &Matrix3<f64>, point: &Vector3, radius: f64) -> Coefficients {
     let a = a * (0.5 / radius);
     let ac = a * point;
@@ -278,7 +280,7 @@ fn pack(a: &Matrix3<f64>, b: &Vector3, e: f64) -> Coefficients {
     [a[(0, 0)], a[(1, 1)], a[(2, 2)], twice(0, 1), twice(0, 2), twice(1, 2), b.x, b.y, b.z, e]
 }
 
-/// Two unit vectors across a third one, perpendicular to each other.
+/// Returns two unit vectors that are perpendicular to a third one and to each other.
 pub fn across(axis: &Vector3) -> [Vector3; 2] {
     let mut other = Vector3::zeros();
     other[axis.iamin()] = 1.0;
@@ -286,7 +288,7 @@ pub fn across(axis: &Vector3) -> [Vector3; 2] {
     [u, axis.cross(&u)]
 }
 
-/// Gradient of a quadric at a point.
+/// Returns the gradient of a quadric at a point.
 pub fn gradient(q: &Coefficients, p: &Vector3) -> Vector3 {
     Vector3::new(
         2.0 * q[0] * p.x + q[3] * p.y + q[4] * p.z + q[6],
@@ -295,7 +297,7 @@ pub fn gradient(q: &Coefficients, p: &Vector3) -> Vector3 {
     )
 }
 
-/// Whether the line of a ray meets a quadric, be it behind the camera.
+/// Returns whether the line of a ray meets a quadric, in front of or behind the camera.
 pub fn meets(q: &Coefficients, ray: &Vector3) -> bool {
     let [xx, yy, zz, xy, xz, yz, x, y, z, c] = *q;
     let a = ray.x * (xx * ray.x + xy * ray.y + xz * ray.z) + ray.y * (yy * ray.y + yz * ray.z) + zz * ray.z * ray.z;
@@ -303,11 +305,11 @@ pub fn meets(q: &Coefficients, ray: &Vector3) -> bool {
     b * b - 4.0 * a * c > 0.0
 }
 
-/// The conic `[s^2, s t, t^2, s, t, 1]` that a scan plane cuts out of a quadric.
+/// Returns the conic `[s^2, s t, t^2, s, t, 1]` in which a scan plane cuts a quadric.
 pub fn section_of(q: &Coefficients, plane: &ScanPlane) -> [f64; 6] {
     let [xx, yy, zz, xy, xz, yz, x, y, z, one] = *q;
     let (across, forward) = (plane.slope() / plane.stretch(), 1.0 / plane.stretch());
-    // Along the line, across it, and forward.
+    // Coefficients along the line, across it, and forward.
     let (aa, bb, ab, az, bz, a, b) = match plane.scan() {
         Scan::Row => (xx, yy, xy, xz, yz, x, y),
         Scan::Column => (yy, xx, xy, yz, xz, y, x),
@@ -322,7 +324,7 @@ pub fn section_of(q: &Coefficients, plane: &ScanPlane) -> [f64; 6] {
     ]
 }
 
-/// The same about a point of the plane.
+/// Returns the same conic about a point of the plane.
 pub fn section_about(q: &Coefficients, plane: &ScanPlane, origin: [f64; 2]) -> Conic {
     Conic { origin: [0.0, 0.0], coefficients: section_of(q, plane) }.about(origin)
 }
@@ -364,7 +366,7 @@ mod tests {
         let leaning = Vector3::new(0.2, 0.9, -0.4).normalize();
         let can = Conical { point: center, axis: leaning, radius: 0.4, slope: 0.0 }.coefficients();
         for step in 0..400 {
-            // How long it is does not matter.
+            // The length of the ray does not matter.
             let ray = Vector3::new(f64::from(step % 20) - 8.0, f64::from(step / 20) - 11.0, 10.0) * 0.03;
             let to_ball = ray.cross(&center).norm() / ray.norm();
             assert_eq!(meets(&ball, &ray), to_ball < 0.4, "a ball, by {ray}");
@@ -416,7 +418,7 @@ mod tests {
         for (i, a) in forms.iter().enumerate() {
             assert!((a[0] + a[1] + a[2]).abs() < 1e-12, "no part of it is of all directions alike");
             for (j, b) in forms.iter().enumerate() {
-                // x y counts as half in x y and half in y x.
+                // The coefficient of x y is split into halves for x y and y x.
                 let product: f64 = (0..6).map(|k| a[k] * b[k] * if k < 3 { 1.0 } else { 0.5 }).sum();
                 let expected = if i == j { 2.0 * (0.5_f64 / 0.3).powi(2) } else { 0.0 };
                 assert!((product - expected).abs() < 1e-12, "{i} {j}: {product}");

@@ -10,12 +10,12 @@ use crate::{ArcMoments, MOMENTS, PlaneMoments};
 use std::ops::{Add, Mul, Sub};
 use wide::f64x2;
 
-/// A depth, or two side by side.
+/// A number, or two side by side.
 trait Number: Copy + From<f64> + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> {}
 impl Number for f64 {}
 impl Number for f64x2 {}
 
-/// Unbiased estimates of `[1, z, z^2, z^3, z^4]` from a measurement of variance `variance`.
+/// Returns unbiased estimates of `[1, z, z^2, z^3, z^4]` from a measurement of variance `variance`.
 #[inline]
 fn powers<T: Number>(z: T, variance: T) -> [T; 5] {
     let (z2, [one, three, six]) = (z * z, [1.0, 3.0, 6.0].map(T::from));
@@ -30,7 +30,7 @@ fn powers<T: Number>(z: T, variance: T) -> [T; 5] {
 pub struct RaySums(pub [f64; MOMENTS]);
 
 impl RaySums {
-    /// The sums of some measurements.
+    /// Returns the sums of some measurements.
     #[inline]
     pub fn of<'a>(parts: impl Iterator<Item = RayPart<'a>>) -> Self {
         let mut count = 0;
@@ -38,7 +38,7 @@ impl RaySums {
         Self(std::array::from_fn(|i| i.checked_sub(1).map_or(count as f64, |term| terms[term])))
     }
 
-    /// The plane moments about `(0, 0)` in a scan plane of stretch `k`: `t = k z`.
+    /// Returns the plane moments about `(0, 0)` in a scan plane of stretch `k`: `t = k z`.
     #[inline]
     pub fn moments(&self, k: f64) -> PlaneMoments {
         let (k2, s) = (k * k, &self.0);
@@ -64,11 +64,11 @@ impl RaySums {
     }
 }
 
-/// Measurements of one variance: slopes of the rays, as many depths, and the variance of each.
+/// Measurements of one variance: the slopes of the rays, the depths, and the variance of a depth.
 pub type RayPart<'a> = (&'a [f64], &'a [f64], f64);
 
-/// The sums of some terms of slope, depth and variance over measurements, which are looked at two at a time. So many pairs have
-/// sums of their own: none waits for the sum with the one before it.
+/// Sums terms of slope, depth and variance over measurements, two at a time. `PAIRS` pairs have separate sums, so that an
+/// addition need not wait for the previous one.
 #[inline]
 fn sum<'a, const N: usize, const PAIRS: usize>(
     parts: impl Iterator<Item = RayPart<'a>>,
@@ -98,7 +98,7 @@ fn sum<'a, const N: usize, const PAIRS: usize>(
     std::array::from_fn(|i| sums.iter().fold(f64x2::ZERO, |all, sums| all + sums[i]).reduce_add())
 }
 
-/// Those of [`RaySums`] but the first, which counts.
+/// Returns the terms of [`RaySums`] without the first, which is a count.
 #[inline]
 fn ray_terms(x: f64x2, z: f64x2, variance: f64x2) -> [f64x2; MOMENTS - 1] {
     let [_, h1, h2, h3, h4] = powers(z, variance);
@@ -121,46 +121,45 @@ fn arc_terms(x: f64x2, z: f64x2, variance: f64x2, square_stretch: f64x2) -> [f64
     [x * h1, h1, x * xh2, xh2, h2, c * ch4, x * ch3, ch3]
 }
 
-/// What a line asks of the rays of a scan line, and no more: the sums of `[x h1, h1, x^2 h2, x h2, h2]`.
+/// The sums over the rays of a scan line that a line fit needs: those of `[x h1, h1, x^2 h2, x h2, h2]`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LineSums([f64; 5]);
 
 impl LineSums {
-    /// The sums of some measurements.
+    /// Returns the sums of some measurements.
     #[inline]
     pub fn of<'a>(parts: impl Iterator<Item = RayPart<'a>>) -> Self {
         Self(sum::<_, 2>(parts, line_terms))
     }
 
-    /// The sums of these measurements but for some of them.
+    /// Returns the sums without some of the measurements.
     #[must_use]
     pub fn without(&self, some: &Self) -> Self {
         Self(std::array::from_fn(|i| self.0[i] - some.0[i]))
     }
 
-    /// Mean square distance of `count` points from their line, in a scan plane of stretch k.
+    /// Returns the mean square distance of `count` points from their line, in a scan plane of stretch k.
     #[inline]
     pub fn line_square(&self, count: f64, k: f64) -> f64 {
         mean_square(self.0.map(|sum| sum / count), k)
     }
 }
 
-/// Mean square distance from the line, of which the means of `[x h1, h1, x^2 h2, x h2, h2]` are known.
+/// Returns the mean square distance from the line, given the means of `[x h1, h1, x^2 h2, x h2, h2]`.
 #[inline]
 fn mean_square([x, y, xx, xy, yy]: [f64; 5], k: f64) -> f64 {
     smaller_eigenvalue(xx - x * x, k * (xy - x * y), k * k * (yy - y * y))
 }
 
-/// What lines and circles ask of the rays of a scan line, and no more: with `c = x^2 + k^2` in a scan plane of stretch
-/// k, the sums of `[x h1, h1, x^2 h2, x h2, h2, c^2 h4, x c h3, c h3]`, in pairs.
+/// The sums over the rays of a scan line that fits of lines and circles need: with `c = x^2 + k^2` in a scan plane of stretch k,
+/// those of `[x h1, h1, x^2 h2, x h2, h2, c^2 h4, x c h3, c h3]`, in pairs.
 ///
-/// As those of [`RaySums`] they are free of the noise, and the difference of two running sums is the sum over what lies
-/// between.
+/// Like [`RaySums`] they are free of the bias of noise. The difference of two running sums is the sum over the interval between.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ArcSums([f64x2; 4]);
 
 impl ArcSums {
-    /// These sums with one, and with both of two more measurements: slopes x, depths z, variance of the depths, and the
+    /// Returns these sums with one, and with both, of two more measurements: slopes x, depths z, variance of the depths, and the
     /// square of the stretch.
     #[inline]
     #[must_use]
@@ -172,7 +171,7 @@ impl ArcSums {
         [Self(first), Self(std::array::from_fn(|i| first[i] + terms[i][1]))]
     }
 
-    /// The sums of some measurements, in a scan plane of this square of the stretch.
+    /// Returns the sums of some measurements in a scan plane with this square of the stretch.
     #[inline]
     pub fn of<'a>(parts: impl Iterator<Item = RayPart<'a>>, square_stretch: f64) -> Self {
         let square_stretch = f64x2::splat(square_stretch);
@@ -180,21 +179,21 @@ impl ArcSums {
         Self([[a, b], [c, d], [e, f], [g, h]].map(f64x2::new))
     }
 
-    /// The measurements between an earlier state of the running sums and this one.
+    /// Returns the sums over the measurements between an earlier state of the running sums and this one.
     #[inline]
     #[must_use]
     pub fn since(&self, earlier: &Self) -> Self {
         Self(std::array::from_fn(|i| self.0[i] - earlier.0[i]))
     }
 
-    /// Mean square distance of `count` points from their line, in a scan plane of stretch k.
+    /// Returns the mean square distance of `count` points from their line, in a scan plane of stretch k.
     #[inline]
     pub fn line_square(&self, count: f64, k: f64) -> f64 {
         let [[x, y], [xx, xy], [yy, _], _] = self.means(count);
         mean_square([x, y, xx, xy, yy], k)
     }
 
-    /// The moments of `count` points in a scan plane of stretch k.
+    /// Returns the moments of `count` points in a scan plane of stretch k.
     #[inline]
     pub fn moments(&self, count: f64, k: f64) -> ArcMoments {
         let [[x, y], [xx, xy], [yy, qq], [xq, yq]] = self.means(count);
@@ -225,7 +224,7 @@ mod tests {
         std::array::from_fn(|i| 1.5 + 0.02 * (i % 5) as f64)
     }
 
-    /// The measurements in three parts, each of an odd number.
+    /// The measurements in three parts of odd length.
     fn parts<'a>(slopes: &'a [f64; 31], depths: &'a [f64; 31], variance: f64) -> [RayPart<'a>; 3] {
         let part = |range: std::ops::Range<usize>| (&slopes[range.clone()], &depths[range], variance);
         [part(0..7), part(7..16), part(16..31)]

@@ -1,4 +1,4 @@
-//! The arcs of a message, ready for pooling, and which of them lie beside each other.
+//! The arcs of a message, prepared for pooling, and the relation of neighbours among them.
 
 use crate::camera::{pinhole, scan};
 use crate::extract::LEAST_VARIANCE;
@@ -14,35 +14,35 @@ use std::mem;
 use std::ops::Range;
 use std::sync::OnceLock;
 
-/// Steepest surface from line to line, as depth per distance across the view.
+/// Steepest slope of a surface from line to line, as depth per distance across the view.
 const MAX_LINE_SLOPE: f64 = 5.0; // [tuned]
-/// Mean depths of arcs of one surface may differ by so many standard deviations more than the slope explains.
+/// Standard deviations by which the mean depths of arcs of one surface may differ beyond their slope.
 const DEPTH_SIGMAS: f64 = 4.0; // [sigmas]
-/// Mean depths may differ further by this part of a pixel's width for each pixel by which one arc is longer: the points of half
-/// a circle lie in the mean `pi / 8` of its width before its centre.
+/// Further difference of the mean depths for each pixel by which one arc is longer, in widths of a pixel: the points of half a
+/// circle lie on average `pi / 8` of its width before its centre.
 const DEPTH_PER_PIXEL: f64 = FRAC_PI_8; // [derived]
 
-/// An arc with what the assembler needs of it.
+/// An arc with the data that the assembler needs.
 #[derive(Clone, Debug)]
 pub(crate) struct Arc {
     pub scan: Scan,
-    /// Number of the line among those that were looked at.
+    /// Number of the line among those that were searched.
     pub line: u32,
     /// First and last pixel along the line.
     pub pixels: [i64; 2],
     pub plane: ScanPlane,
     moments: PlaneMoments,
-    /// Depths of the outermost points of either end, from the end inwards; 0: none.
+    /// Depths of the outermost points of either end, from the end inwards; 0 where there is none.
     ends: [[f64; END_POINTS]; 2],
-    /// Variance of a depth for which the moments were corrected, in square metres.
+    /// Variance of a depth for which the moments were corrected, in square metres; 0: they were not.
     corrected: f64,
-    /// The moments in space, once somebody asked for them.
+    /// The moments in space, computed at their first use.
     space: OnceLock<SpaceMoments>,
     /// Number of points.
     pub count: u32,
-    /// Effective number of points, whose noise is independent: the moments are scaled to this number.
+    /// Number of independent points along the line, to which the moments are scaled.
     pub points: f64,
-    /// Variance of the sensor along the ray, at the depth of the arc.
+    /// Variance of a point along its ray, at the depth of the arc, in square metres.
     pub variance: f64,
     /// Mean of the points.
     pub mean: Vector3,
@@ -54,35 +54,35 @@ pub(crate) struct Arc {
     steps: [Vector3; 2],
     /// Slopes of the rays through the first and the last pixel.
     pub rays: [f64; 2],
-    /// Whether nothing was measured beyond the end, on either side.
+    /// Whether the pixel beyond the end has no measurement, for either end.
     pub unseen: [bool; 2],
-    /// Where the surface ends before something farther, on either side.
+    /// Point where the surface ends before something farther, for either end.
     pub contour: [Option<ContourPoint>; 2],
     /// Distance at the depth of the arc between neighbouring pixels of the line, in metres.
     pub pitch: f64,
     /// Distance at the depth of the arc between neighbouring lines that were searched, in metres.
     pub spacing: f64,
-    /// How many neighbouring pixels of the line share their noise, at least 1.
+    /// Number of neighbouring pixels of the line that share their noise, at least 1.
     pub shared_px: f64,
-    /// The same of neighbouring lines.
+    /// Number of neighbouring lines that share their noise, at least 1.
     pub shared_lines: f64,
-    /// How many share that of their contour, which is not averaged over lines.
+    /// Number of neighbouring lines that share the noise of their contour, which is not averaged over lines.
     pub contour_lines: f64,
-    /// How much better the circle is than a line, in points times variances.
+    /// Gain of the circle over a line: the difference of their mean squares, in points times variances.
     pub bulge: f64,
 }
 
-/// How far the points of an arc are off a surface.
+/// Residuals of the points of an arc from a surface.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Misfit {
-    /// Mean square distance, free of the noise.
+    /// Mean square distance, without that of the noise.
     pub square: f64,
-    /// Mean distance, above zero outside.
+    /// Mean distance, positive outside.
     pub mean: f64,
 }
 
 impl Arc {
-    /// Every `step`th line of the image was looked at.
+    /// Reads an arc of an image of which every `step`th line was searched; `None` without points.
     fn new(header: &Header, ellipse: &Ellipse, step: u32) -> Option<Self> {
         let (camera, scan) = (pinhole(&header.camera), scan(ellipse));
         let plane = camera.plane(scan, f64::from(ellipse.line));
@@ -128,12 +128,12 @@ impl Arc {
         })
     }
 
-    /// The moments in space, about the camera centre. Most arcs are never asked for them.
+    /// Returns the moments in space, about the camera centre. Most arcs never need them.
     pub fn space(&self) -> &SpaceMoments {
         self.space.get_or_init(|| SpaceMoments::of_arc(&self.plane, &self.moments))
     }
 
-    /// How far the points are off the quadric `q`.
+    /// Returns the residuals of the points from the quadric `q`.
     pub fn misfit(&self, q: &Coefficients) -> Misfit {
         let conic = section_about(q, &self.plane, self.moments.origin());
         let c = &conic.coefficients;
@@ -142,20 +142,20 @@ impl Arc {
         Misfit { square: conic.square_sum(&self.moments) / self.points, mean: sum / self.points }
     }
 
-    /// Whether the arc lies where rays enter the surface `q`. What is open is seen inside as well: its far wall is of the same
-    /// surface.
+    /// Returns whether rays enter the surface `q` at the arc. An open object is also seen from inside, where its far wall has the
+    /// same surface.
     pub fn faces(&self, q: &Coefficients) -> bool {
         gradient(q, &self.mean).dot(&self.mean) < 0.0
     }
 
-    /// Depth at which a ray of the scan line, of slope `x`, first meets a quadric, of which the section by the plane of
-    /// the line is given.
+    /// Returns the depth at which a ray of the scan line, of slope `x`, first meets a quadric; `section` is the conic in which
+    /// the plane of the line cuts it.
     pub fn hit(&self, section: &[f64; 6], x: f64) -> Option<f64> {
         let [ss, st, tt, s, t, one] = *section;
         let k = self.plane.stretch();
         let (a, b) = (ss * x * x + st * x * k + tt * k * k, s * x + t * k);
         let discriminant = b * b - 4.0 * a * one;
-        // No hit, or one that is far away. [algorithmic]
+        // No hit, or one at a great distance. [algorithmic]
         if discriminant <= 0.0 || a.abs() < 1e-12 {
             return None;
         }
@@ -163,9 +163,9 @@ impl Arc {
         (near > 0.0).then_some(near)
     }
 
-    /// Moments of those outermost points of each end that lie outside the outline of the surface `q`, or within `edge_px` pixels
-    /// of it: a silhouette that the sensor sees elsewhere than it is has given them the depth of an object beside which they lie,
-    /// or of its parts farther in.
+    /// Returns the moments of the outermost points of each end that lie outside the outline of the surface `q`, or within
+    /// `edge_px` pixels of it. A sensor that shifts the silhouette gives such points the depth of the object beside them, or of
+    /// its parts farther in.
     pub fn outside(&self, q: &Coefficients, edge_px: f64) -> impl Iterator<Item = SpaceMoments> {
         let step = self.pitch / self.mean.z;
         [(0, step), (1, -step)].into_iter().filter_map(move |(end, inwards)| {
@@ -177,13 +177,13 @@ impl Arc {
         })
     }
 
-    /// Whether its middle lies outside the outline of the surface `q`, or within `edge_px` pixels of it.
+    /// Returns whether its middle lies outside the outline of the surface `q`, or within `edge_px` pixels of it.
     pub fn grazes(&self, q: &Coefficients, edge_px: f64) -> bool {
         self.is_edge(q, edge_px, 0.5 * (self.rays[0] + self.rays[1]))
     }
 
-    /// Whether the ray of slope `x` misses the surface `q`, or one does that is `edge_px` pixels beside it, along the line or
-    /// across.
+    /// Returns whether the ray of slope `x` misses the surface `q`, or one of the rays that are `edge_px` pixels beside it, along
+    /// the line or across.
     fn is_edge(&self, q: &Coefficients, edge_px: f64, x: f64) -> bool {
         let ray = self.plane.to_camera([x, self.plane.stretch()]);
         let [along, across] = self.steps.map(|step| step * edge_px);
@@ -191,7 +191,7 @@ impl Arc {
         !meets(q, &ray) || (edge_px > 0.0 && beside())
     }
 
-    /// The part of some points in the moments, given the slopes of their rays.
+    /// Returns the part of some points in the moments, given the slopes of their rays.
     fn part(&self, slopes: &[f64], depths: &[f64]) -> SpaceMoments {
         let sums = RaySums::of(iter::once((slopes, depths, self.corrected)));
         let moments = sums.moments(self.plane.stretch());
@@ -200,18 +200,18 @@ impl Arc {
         SpaceMoments::of_arc(&self.plane, &PlaneMoments::from_sums(moments.origin(), counted))
     }
 
-    /// The point of depth `z` on the ray of slope `x`.
+    /// Returns the point of depth `z` on the ray of slope `x`.
     pub fn point(&self, x: f64, z: f64) -> Vector3 {
         self.plane.to_camera([x * z, self.plane.stretch() * z])
     }
 
-    /// Number of pixels along the line that both have, less than zero for the gap between them.
+    /// Returns the number of pixels along the line that both have; negative for a gap between them.
     pub fn overlap(&self, pixels: [i64; 2]) -> i64 {
         self.pixels[1].min(pixels[1]) - self.pixels[0].max(pixels[0]) + 1
     }
 }
 
-/// Change of a ray of depth one from pixel to pixel of a line, and from line to line.
+/// Returns the change of a ray of depth one from pixel to pixel of a line, and from line to line.
 fn steps(camera: &Pinhole, plane: &ScanPlane) -> [Vector3; 2] {
     let [along_rows, along_columns] = [Vector3::x() / camera.fx, Vector3::y() / camera.fy];
     match plane.scan() {
@@ -235,7 +235,7 @@ fn contour(
 #[derive(Debug, Default)]
 pub(crate) struct Arcs {
     pub arcs: Vec<Arc>,
-    /// The pixels of each once more: most are asked for nothing else, and lie close together here.
+    /// The pixels of each arc again, close together in memory: most lookups need nothing else.
     pixels: Vec<[i64; 2]>,
     /// For rows and columns: index of the first arc of each line, and the end.
     starts: [Vec<usize>; 2],
@@ -262,33 +262,34 @@ impl Arcs {
         }
     }
 
-    /// The arcs of some indices.
+    /// Returns the arcs with these indices.
     pub fn of<'a>(&'a self, indices: &'a [usize]) -> impl Iterator<Item = &'a Arc> + Clone {
         indices.iter().map(|&index| &self.arcs[index])
     }
 
-    /// How many neighbouring lines share their noise, on average over some arcs, of which there is at least one.
+    /// Returns the number of neighbouring lines that share their noise, on average over some arcs, of which there is at least
+    /// one.
     pub fn shared_lines(&self, indices: &[usize]) -> f64 {
         self.of(indices).map(|arc| arc.shared_lines).sum::<f64>() / indices.len() as f64
     }
 
-    /// How many share that of their contour, on average over some arcs.
+    /// Returns the number of neighbouring lines that share the noise of their contour, on average over some arcs.
     pub fn contour_lines(&self, indices: &[usize]) -> f64 {
         self.of(indices).map(|arc| arc.contour_lines).sum::<f64>() / indices.len() as f64
     }
 
-    /// Whether an arc has any of these pixels.
+    /// Returns whether an arc has any of these pixels.
     pub fn reaches(&self, index: usize, [first, last]: [i64; 2]) -> bool {
         let [start, end] = self.pixels[index];
         start <= last && end >= first
     }
 
-    /// From the first to the last pixel of some arcs.
+    /// Returns the first and the last pixel of some arcs.
     pub fn span(&self, indices: &[usize]) -> Option<[i64; 2]> {
         indices.iter().map(|&index| self.pixels[index]).reduce(|[a, b], [c, d]| [a.min(c), b.max(d)])
     }
 
-    /// Indices of the arcs of a line.
+    /// Returns the indices of the arcs of a line.
     pub fn on_line(&self, scan: Scan, line: i64) -> Range<usize> {
         let starts = &self.starts[usize::from(scan == Scan::Column)];
         match usize::try_from(line) {
@@ -297,8 +298,8 @@ impl Arcs {
         }
     }
 
-    /// The arc beside `index`, at most `gap` lines on in the direction `side` (1 or -1), that most likely is the same
-    /// surface: the one that has the most columns in common, of those at the same depth.
+    /// Returns the arc beside `index` that is most likely of the same surface, at most `gap` lines on in the direction `side` (1
+    /// or -1): in the nearest line that has arcs at the same depth, the one with the most columns in common.
     pub fn beside(&self, index: usize, side: i64, gap: i64, free: impl Fn(usize) -> bool + Copy) -> Option<usize> {
         let arc = &self.arcs[index];
         (1..=gap).find_map(|distance| {
@@ -307,8 +308,8 @@ impl Arcs {
         })
     }
 
-    /// Adds to `surface` all arcs that hang together with those in it, over gaps of at most `gap` lines, through arcs that are
-    /// free; none is there twice. `reached` is a buffer.
+    /// Adds to `surface` all free arcs that are connected with those in it, directly or through other free arcs, over at most
+    /// `gap` lines each; none is added twice. `reached` is a buffer.
     pub fn connect(
         &self,
         surface: &mut Vec<usize>,
@@ -328,18 +329,18 @@ impl Arcs {
         }
     }
 
-    /// The free arcs of the line that is `by` lines from an arc which may belong to one surface with it.
+    /// Returns the free arcs in the line `by` lines from an arc that may belong to the same surface.
     fn adjoining(&self, index: usize, by: i64, free: impl Fn(usize) -> bool + Copy) -> impl Iterator<Item = usize> {
         let arc = &self.arcs[index];
         let line = self.on_line(arc.scan, i64::from(arc.line) + by);
         line.filter(move |&other| free(other) && self.touches(arc, &self.arcs[other]))
     }
 
-    /// Whether two arcs of near lines may belong to one surface.
+    /// Returns whether two arcs of near lines may belong to one surface.
     fn touches(&self, a: &Arc, b: &Arc) -> bool {
         let lines = f64::from(a.line.abs_diff(b.line));
         let step = MAX_LINE_SLOPE * lines * a.spacing + DEPTH_SIGMAS * (a.variance / a.points.min(b.points)).sqrt();
-        // The mean of a wider arc lies farther back, by no more than that of half a circle.
+        // The mean of a wider arc lies farther back, at most by that of half a circle.
         let wider = DEPTH_PER_PIXEL * (a.pixels[1] - a.pixels[0]).abs_diff(b.pixels[1] - b.pixels[0]) as f64 * a.pitch;
         a.overlap(b.pixels) > 0 && (a.mean.z - b.mean.z).abs() <= step + wider
     }
@@ -354,13 +355,13 @@ mod tests {
     use conicflow_messages::NoiseModel;
     use std::f64::consts::PI;
 
-    /// A can that leans to all sides, a metre away.
+    /// A can that leans in all directions, at a distance of a metre.
     fn leaning() -> Conical {
         let axis = Vector3::new(0.5, 0.6, 0.4).normalize();
         Conical { point: Vector3::new(0.02, -0.05, 1.0), axis, radius: 0.1, slope: 0.0 }
     }
 
-    /// How far a point is off it, as F tells.
+    /// Distance of a point from the can, as its function F gives it.
     fn off(can: &Conical, point: &Vector3) -> f64 {
         let across = point - can.anchored(point).point;
         (across.norm_squared() - can.radius.powi(2)) / (2.0 * can.radius)
@@ -472,8 +473,8 @@ mod tests {
         assert!(near.contains(&0) && near.contains(&last) && near.len() < 10 && last > 40, "{near:?} of {last}");
     }
 
-    /// The steepest surface falls off by five times the distance of two lines, the mean of four points scatters by half of what
-    /// each does, and those of a circle lie before its centre by an eighth of pi of its width.
+    /// Over two lines the steepest surface falls by five times their distance; the mean of four points has half the standard
+    /// deviation of one; and the points of a circle lie before its centre by an eighth of pi of its width.
     #[test]
     fn depths_of_one_surface_differ_by_its_slope_by_noise_and_by_how_much_longer_one_arc_is() {
         for (lines, spacing, sigma, longer, pitch) in
@@ -507,7 +508,7 @@ mod tests {
             let behind = Sphere { center: -ball.center, ..ball };
             let behind = section_of(&behind.coefficients(), &arc.plane);
             for x in (-20..=20).map(|i| 0.02 * f64::from(i)) {
-                // Along a ray of length 1, the way to the foot of the centre and half the chord.
+                // On a ray of length 1: the distance to the foot of the centre, less half the chord.
                 let ray = arc.plane.to_camera([x, arc.plane.stretch()]);
                 let foot = ball.center.dot(&ray.normalize());
                 let half_square = ball.radius.powi(2) - (ball.center.norm_squared() - foot * foot);

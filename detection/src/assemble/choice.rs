@@ -1,4 +1,4 @@
-//! Which shape an object has, where more than one explains it.
+//! Chooses the shape of an object where several shapes explain it.
 
 use super::contours::Contours;
 use super::model;
@@ -12,29 +12,30 @@ use conicflow_messages::{Object, ObjectKind};
 
 /// Two models explain about as many points if the smaller number is at least this part of the larger.
 const AS_MANY: f64 = 0.9; // [tuned]
-/// Standard deviations by which the half-angle of a cone has to exceed zero.
+/// Fewest standard deviations by which the half-angle of a cone has to exceed zero.
 const SURE_SIGMAS: f64 = 3.0; // [sigmas]
-/// Least gain of the shape of more parameters, as chi squared: two standard deviations of one parameter.
+/// Least gain of the shape with more parameters, as chi squared: two standard deviations of one parameter.
 const GAIN: f64 = 4.0; // [sigmas]
 /// Least gain per point, in variances: surfaces and sensors are not exact, and favour one of two shapes a little at each point.
 const GAIN_PER_POINT: f64 = 0.01; // [tuned]
-/// A half-angle with a larger standard deviation (4 degrees) is unknown, so that the object is not surely a cylinder.
+/// Standard deviation of a half-angle, in radians (4 degrees), beyond which it is unknown, so that the object is not surely a
+/// cylinder.
 const UNKNOWN_HALF_ANGLE: f64 = 0.07; // [tuned]
-/// A half-angle with a larger standard deviation (1.5 degrees) that exceeds zero by [`UNSURE_SIGMAS`] speaks against a
-/// cylinder, although it does not show a cone.
+/// Standard deviation of a half-angle, in radians (1.5 degrees), beyond which a half-angle that exceeds zero by [`UNSURE_SIGMAS`]
+/// speaks against a cylinder, although it does not show a cone.
 const UNSURE_HALF_ANGLE: f64 = 0.026; // [tuned]
 /// Standard deviations by which such an uncertain half-angle exceeds zero.
 const UNSURE_SIGMAS: f64 = 2.0; // [sigmas]
 
-/// The shape that was chosen.
+/// The chosen shape.
 pub(crate) struct Chosen<'a> {
     pub candidate: Candidate<'a>,
     pub object: Object,
     pub evidence: Evidence,
 }
 
-/// The candidate that explains most points; of those that explain about as many, the one of fewer parameters, unless
-/// the other explains them better. Where none is left, the reason is that of the most general one that grew.
+/// Chooses the candidate that explains most points; of those that explain about as many, the one with fewer parameters, unless
+/// the other explains them better. Without a candidate, the reason is that of the most general shape that grew.
 pub(crate) fn choose<'a>(
     found: Verified<'a>,
     parameters: &AssemblerParameters,
@@ -42,7 +43,7 @@ pub(crate) fn choose<'a>(
 ) -> Result<Chosen<'a>, Rejection> {
     let mut reasons = found.iter().filter_map(|found| found.as_ref().err()).copied();
     let of_grown = reasons.rfind(|reason| *reason != Rejection::NotGrown);
-    // Where a cone alone is a candidate, its half-angle is not sure.
+    // If a cone is the only candidate, its half-angle is uncertain.
     let alone = if found.iter().any(Result::is_ok) { Rejection::Taper } else { Rejection::NotGrown };
     let reason = of_grown.unwrap_or(alone);
     let [sphere, cylinder, cone] = found;
@@ -50,7 +51,7 @@ pub(crate) fn choose<'a>(
     let may_be_cone = speaks_against_cylinder(cone.as_ref());
     let [sphere, cylinder] = [sphere, cylinder].map(Result::ok);
     let taper = cone.as_ref().map_or(0.0, |(_, object)| sure_half_angle(object));
-    // A vague cone may still show that a cylinder is none: the choice comes first.
+    // A cone with an uncertain half-angle may still rule out a cylinder, so the choice comes first.
     let cone = cone.ok().filter(|(_, object)| is_cone(object, parameters)).map(|(cone, _)| cone);
     let axial = match (cylinder, cone) {
         (Some(cylinder), Some(cone)) => Some(better(cylinder, cone, contours)),
@@ -70,13 +71,13 @@ pub(crate) fn choose<'a>(
     if is_cylinder {
         object.sigma.axis = object.sigma.axis.hypot(taper);
     }
-    // All shapes are flattened alike: that speaks neither for nor against one.
+    // All shapes are flattened alike, so flattening is no evidence for or against one.
     add_flattening(&mut object, best.region.ends()[0]);
     Ok(Chosen { candidate: best, object, evidence })
 }
 
-/// Whether the cone that grew from the same arcs speaks against the cylinder. It does if its half-angle is unknown, if its
-/// half-angle may well differ from zero, or if the cone fails as an object although it is free to be a cylinder.
+/// Returns whether the cone that grew from the same arcs speaks against the cylinder: if its half-angle is unknown, if its
+/// half-angle may well differ from zero, or if the cone fails as an object although it could be a cylinder.
 fn speaks_against_cylinder(cone: Result<&(Candidate, Object), &Rejection>) -> bool {
     match cone {
         Ok((cone, object)) => {
@@ -89,19 +90,19 @@ fn speaks_against_cylinder(cone: Result<&(Candidate, Object), &Rejection>) -> bo
     }
 }
 
-/// Whether the half-angle of a cone is surely not zero, and large enough for one.
+/// Returns whether the half-angle of a cone is surely not zero, and large enough.
 fn is_cone(object: &Object, parameters: &AssemblerParameters) -> bool {
     sure_half_angle(object) > parameters.pooled.min_half_angle_deg.to_radians()
 }
 
-/// The half-angle of a cone if it is surely not zero. The side of what tapers by less than a cone has to leans by it, and the
-/// axis of the cylinder that it is called with it.
+/// Returns the half-angle of a cone if it is surely not zero, else 0. An object that tapers too little for a cone is reported as
+/// a cylinder: its side leans by this angle, and so may its axis.
 fn sure_half_angle(object: &Object) -> f64 {
     if object.half_angle > SURE_SIGMAS * object.sigma.half_angle { object.half_angle } else { 0.0 }
 }
 
-/// Of two shapes the one that explains more points; where both explain about as many, the one of more parameters only if it
-/// explains them surely better.
+/// Returns the shape that explains more points; if both explain about as many, the one with more parameters only if it is surely
+/// better.
 fn better<'a>(simple: Candidate<'a>, general: Candidate<'a>, contours: &mut Contours) -> Candidate<'a> {
     let (a, b) = (simple.measured.points, general.measured.points);
     if a < AS_MANY * b {
@@ -116,8 +117,8 @@ fn better<'a>(simple: Candidate<'a>, general: Candidate<'a>, contours: &mut Cont
     if gain > GAIN.max(GAIN_PER_POINT * a.max(b)) { general } else { simple }
 }
 
-/// What is left of the points and the contour of some members by a model that is fitted to these. What it leaves out of
-/// the contour counts, too, or it would gain by what it misses.
+/// Returns the residual cost of the points and the contour of some members for a model that is fitted to them. Contour points
+/// that the model leaves out count, too, or it would gain by missing them.
 fn cost(mut region: Region, contours: &mut Contours) -> Option<f64> {
     region.model = model::fit(region.model.kind(), &region.arcs(), Some(&region.model), f64::INFINITY)?;
     let (model, contour) = contours.fit(&region)?;
@@ -135,12 +136,12 @@ mod tests {
     use conicflow_lab::simulator::shapes::Shape;
     use conicflow_messages::ObjectSigma;
 
-    /// The arcs of what stands upright two metres away, and those in rows of its middle.
+    /// The arcs of a body that stands upright at a distance of two metres, and the indices of those in rows of its middle.
     fn upright(slope: f64) -> (Arcs, Vec<usize>) {
         upright_before(&[], slope)
     }
 
-    /// The same before something else.
+    /// The same with other bodies.
     fn upright_before(others: &[Shape], slope: f64) -> (Arcs, Vec<usize>) {
         let center = Vector3::new(0.0, 0.0, 2.0);
         let body = frustum(center, Vector3::y(), 0.2, slope, 0.7);
@@ -151,7 +152,7 @@ mod tests {
         (arcs, members)
     }
 
-    /// A candidate of so many points.
+    /// A candidate with this number of points.
     fn candidate<'a>(arcs: &'a Arcs, members: &'a [usize], kind: ObjectKind, points: f64) -> Candidate<'a> {
         let model = model::fit(kind, &arcs.of(members), None, f64::INFINITY).unwrap();
         let (count, lines, angle, extent) = (points as u32, members.len() as u32, 2.0, [-0.25, 0.25]);
@@ -194,7 +195,7 @@ mod tests {
         let of_many = gain(&arcs);
         assert!(of_many > 2.0 * GAIN, "{of_many}");
         assert_eq!([99.0, 101.0].map(|times| is_cone(&arcs, times * of_many)), [true, false]);
-        // The noise becomes such that the cone hardly gains what it has to.
+        // The noise is scaled so that the cone gains slightly less than the limit, or slightly more.
         for (least, will_do) in [(3.8, false), (4.2, true)] {
             for _ in 0..8 {
                 let louder = gain(&arcs) / least;
@@ -205,8 +206,8 @@ mod tests {
         }
     }
 
-    /// The gate is at 3.5 standard deviations. A cylinder is near a part of the contour of a cone, and would gain by what it
-    /// misses.
+    /// The gate is at 3.5 standard deviations. A cylinder is near a part of the contour of a cone, and would gain by the points
+    /// that it misses.
     #[test]
     fn each_point_of_the_contour_that_a_shape_is_far_from_costs_as_much_as_one_at_the_gate() {
         let (arcs, members) = upright_before(&[wall(4.0)], 0.3);
@@ -232,7 +233,7 @@ mod tests {
             let object = Object { half_angle, sigma, ..Object::default() };
             speaks_against_cylinder(Ok(&(candidate(&arcs, &members, ObjectKind::Cone, 1000.0), object)))
         };
-        // Where four lines share their noise, a half-angle is twice as unsure.
+        // Where four lines share their noise, the standard deviation of a half-angle is twice as large.
         for (shared_lines, wider) in [(1.0, 1.0), (4.0, 2.0)] {
             let (unsure, unknown) = (0.027 * wider, 0.071 * wider);
             assert!(speaks(0.0, unknown, shared_lines) && !speaks(0.0, 0.069 * wider, shared_lines));
@@ -276,7 +277,7 @@ mod tests {
         }
     }
 
-    /// What tapers slightly shows that in many lines and not in a few.
+    /// A slight taper shows in many lines, but not in a few.
     #[test]
     fn shapes_of_about_as_many_points_are_compared_by_the_members_of_the_one_of_more() {
         let (arcs, all) = upright(0.06);

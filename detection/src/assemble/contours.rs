@@ -1,10 +1,9 @@
-//! The contours of objects, and what objects showed of where contours lie.
+//! Bias and noise of the contours of a sensor, learned from the objects that it sees.
 //!
-//! A sensor smears the silhouettes of what it sees, or loses what it grazes, and so puts contours a little beside the place where
-//! the ray touches the surface: in rows otherwise than in columns, on the left otherwise than on the right, but with all objects
-//! alike. Nobody knows by how much. But the points of an object tell its size as well, without its contour; so each object shows
-//! by how much the contours of this sensor are off, and how far their points scatter, and the next one is measured the better for
-//! it.
+//! A sensor smears silhouettes, or loses pixels at grazing incidence. So its contours lie slightly beside the place where the ray
+//! touches the surface: by different amounts in rows and in columns and on the two sides of a line, but by the same for all
+//! objects. The amount is not known beforehand. But the points of an object determine its size without its contour. So each
+//! object shows the bias of the contours and the scatter of their points, and later objects are measured more exactly.
 
 use super::model::{Model, of_fit, pool_within, upright};
 use super::region::Region;
@@ -15,93 +14,95 @@ use conicflow_messages::{Camera, Object};
 use nalgebra::{Matrix2, Matrix3, Matrix4, SMatrix, SVector, Vector2, Vector3, Vector4};
 use std::ops::AddAssign;
 
-/// Number of fits to the contour. Each uses the points within the outline of the last one, and those of the contour that are near
-/// it.
+/// Number of fits to the contour. Each fit uses the points within the outline of the previous model and the contour points near
+/// that outline.
 const PASSES: usize = 2; // [algorithmic]
-/// Standard deviation of a contour point of a sensor of which nothing is known, in pixels, and in radii. In rendered frames of a
-/// Kinect and of a time-of-flight camera it scatters by half a pixel and 1 to 2 % of the radius, with windows that are compared by
-/// up to 1.2 pixels; 4 % leave a margin. The variances may be wrong by as much as they are.
+/// Prior standard deviation of a contour point for an unknown sensor: a part in pixels and a part in radii. In rendered frames of
+/// a Kinect and of a time-of-flight camera it scatters by half a pixel and 1 to 2 % of the radius, with windows that are compared
+/// by up to 1.2 pixels; 4 % leave a margin. The prior variances are given standard deviations as large as themselves.
 const POINT_PX: f64 = 0.5; // [measured]
 const POINT_SHARE: f64 = 0.04; // [tuned]
-/// Least variance of a contour point, in square pixels: that of a place within a pixel.
+/// Least variance of a contour point, in square pixels: that of a uniform distribution within one pixel.
 const LEAST_VARIANCE_PX: f64 = 1.0 / 12.0; // [derived]
-/// Standard deviations of the bias of a sensor of which nothing is known: of its offset in pixels, and of its share of the
-/// radius. On rendered frames a whole contour lies up to 5 % of the radius too far in.
+/// Prior standard deviations of the bias for an unknown sensor: of the offset in pixels, and of the share of the radius. In
+/// rendered frames a whole contour lies up to 5 % of the radius too far in.
 const OFFSET_PX: f64 = 1.0; // [tuned]
 const SHARE: f64 = 0.05; // [tuned]
-/// A contour may be off by more for each further pixel that shares the noise of one: what compares windows puts it anywhere
-/// within half a window of where it is. Standard deviation, in pixels.
+/// Further standard deviation of the offset for each further pixel that shares the noise of one, in pixels: a sensor that
+/// compares windows of w pixels puts an edge anywhere within half a window, which scatters it by (w - 1) / sqrt(12).
 const WINDOW_OFFSET_PX: f64 = 0.288_675; // [derived]
 
-/// What the bias of all contours leaves of an object's own: a systematic error of its radius and centre in radii, and in pixels.
-/// No number of points averages it out. With these three errors over sigmas in `experiments/detection.toml` and
-/// `experiments/simulated_sensors.toml` are near 1.
+/// Systematic error of an object's own contour, which the shared bias does not explain: of its radius and centre, in radii and in
+/// pixels. It does not average out with more points. With these three constants the errors over sigmas in
+/// `experiments/detection.toml` and `experiments/simulated_sensors.toml` are near 1.
 pub(super) const SYSTEMATIC: f64 = 0.0005; // [measured]
 pub(super) const SYSTEMATIC_PX: f64 = 0.04; // [measured]
-/// The same for each further pixel that shares the noise of one, in pixels: what compares windows flattens what is round at its
-/// silhouettes.
+/// Further systematic error for each further pixel that shares the noise of one, in pixels: comparing windows flattens round
+/// surfaces at their silhouettes.
 pub(super) const FLATTENED_PX: f64 = 0.06; // [measured]
 
-/// A sensor that shows contours too far out flattens surfaces within the outline, so many times as far. Without that, and with 1, 2
-/// and 3, 489, 496, 503 and 503 of 520 things are found in recordings (`experiments/README.md`, "The recorded ball").
+/// Width of the strip inside the outline whose points the fit leaves out, in multiples of the expected outward bias of the
+/// contour: a sensor that shows contours too far out also flattens the surface inside them. Without that strip, and with 1, 2 and
+/// 3, 489, 496, 503 and 503 of 520 objects are found in recordings (`experiments/README.md`, "The recorded ball").
 const EDGE_WIDTH: f64 = 2.0; // [measured]
 
-/// Standard deviations by which an object that has not moved seems to have, at most.
+/// Gate on the displacement of an object, in standard deviations: an object that moved less counts as standing still.
 const STILL: f64 = 3.0; // [sigmas]
-/// How many pairs of images that have all in common are taken for granted, before any are compared.
+/// Weight of the prior of `NewShare`, in pairs of images: the prior is that images of one object do not differ.
 const UNCOMPARED: f64 = 10.0; // [algorithmic]
-/// What was not seen in so many images counts as another object when it is seen again, which bounds the work.
+/// Number of images without an object after which it counts as another one when it is seen again, which bounds the work.
 const RECENT_IMAGES: u32 = 30; // [algorithmic]
 
-/// The contour of one object after another, each fitted with what the earlier ones showed of the bias of contours.
+/// Fits models to contours, one object after another, with the bias and noise that earlier objects showed.
 #[derive(Debug, Default)]
 pub(crate) struct Contours {
     contour: Contour,
     camera: Camera,
-    /// What each object of recent images showed.
+    /// Evidence of each object of recent images.
     recent: Vec<Shown>,
-    /// How much of it was new in each image.
+    /// Share of that evidence that is new in each image.
     new_share: NewShare,
-    /// What those before showed, in rows and in columns.
+    /// Evidence of objects that are no longer in `recent`, in rows and in columns.
     before: [Learned; 2],
-    /// What all of them showed.
+    /// Sum of all evidence, in rows and in columns.
     learned: [Learned; 2],
 }
 
-/// What an object that stood still showed of contours.
+/// Evidence from the images of one object that stands still.
 #[derive(Debug)]
 struct Shown {
-    /// As it was seen last.
+    /// The object as it was last seen.
     object: Object,
     direction: usize,
-    /// The mean over its images.
+    /// Mean over its images.
     learned: Learned,
-    /// In how many images it was seen, those of long ago counted less.
+    /// Number of its images, where old ones count less.
     images: f64,
     images_ago: u32,
-    /// How much it still counts.
+    /// Weight that is left of the evidence, from 1 to 0.
     kept: f64,
 }
 
-/// The share of the variance of what an image shows of an object that is new in each image. The rest is the same in all of them:
-/// what is the object's own, and noise that stays.
+/// Share of the variance of an object's evidence that is new in each image. The rest is the same in all images of the object: its
+/// own part of the bias, and noise that stays.
 #[derive(Debug, Default)]
 struct NewShare {
-    /// Squared differences between two images of one object that stood still, in units of what they were if all were new.
+    /// Sum of squared differences between an image and the mean over those before, in units of their variance if everything were
+    /// new in each image.
     squares: f64,
-    /// How many.
+    /// Number of such differences.
     pairs: f64,
 }
 
 impl NewShare {
-    /// Compares an image of an object with the mean over those before.
+    /// Adds the differences between an image of an object and the mean over its earlier images.
     fn add(&mut self, before: &Shown, now: &Learned) {
         for side in [0, 1].into_iter().filter(|side| now.points[*side] > 0.0 && before.learned.points[*side] > 0.0) {
             let radius_px = now.radii_px[side] / now.points[side];
             let [(a, variance_a), (b, variance_b)] =
                 [now, &before.learned].map(|learned| learned.outside(side, radius_px));
             let square = (a - b).powi(2) / (variance_a + variance_b / before.images);
-            // What counts no more, such as that of another camera, tells nothing, nor what no point determines.
+            // Skips evidence without weight, such as that of another camera, and sides that no point determines.
             if before.kept > 0.0 && square.is_finite() {
                 self.squares += square;
                 self.pairs += 1.0;
@@ -113,65 +114,66 @@ impl NewShare {
         Self { squares: self.squares * times, pairs: self.pairs * times }
     }
 
-    /// For how many images without anything in common so many images of one object count.
+    /// Returns how many independent images this number of images of one object is worth.
     fn count(&self, images: f64) -> f64 {
         let share = (self.squares / (self.pairs + UNCOMPARED)).min(1.0);
         1.0 / (1.0 - share + share / images)
     }
 }
 
-/// What objects showed of contours.
+/// Evidence of objects on contours.
 #[derive(Clone, Copy, Debug, Default)]
 struct Learned {
-    /// Of their bias: offset and share of the first side, then of the last.
+    /// Evidence on the bias: offset and share of the first side, then of the last.
     bias: Information<4>,
-    /// Of the variance of their points: in square pixels, and in squared radii.
+    /// Evidence on the variance of contour points: in square pixels, and in squared radii.
     noise: Information<2>,
-    /// How many objects showed it, those of earlier images as much less as they count.
+    /// Number of objects, where those of earlier images have less weight.
     objects: f64,
-    /// By how many points of each side, and the sum of the radii of curvature there, in pixels.
+    /// Number of contour points on each side, and the sum of the radii of curvature there, in pixels.
     points: [f64; 2],
     radii_px: [f64; 2],
-    /// How many further pixels shared the noise of one in the last of them.
+    /// Number of further pixels that share the noise of one, from the newest object.
     window_px: f64,
 }
 
-/// By how much the contours of a sensor are off in rows, or in columns, as its objects showed it.
+/// Errors of the contours of a sensor in rows or in columns, estimated from its objects.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ContourErrors {
     /// Rows or columns.
     pub scan: Scan,
-    /// How many objects showed it, those of earlier images as much less as they count (`contour_memory`). One that stands still counts
-    /// for as many as its images differ.
+    /// Number of objects behind the estimate. Those of earlier images have less weight (`contour_memory`), and an object that
+    /// stands still counts for as many independent images as its images are worth.
     pub objects: f64,
-    /// The bias where lines begin (left, or at the top), and where they end.
+    /// Bias where lines begin (left, or at the top), and where they end.
     pub sides: [SideErrors; 2],
-    /// Standard deviation of a point of the contour along its line: in pixels, and a further part in radii of curvature.
+    /// Standard deviation of a contour point along its line: a part in pixels and a part in radii of curvature.
     pub scatter_px: f64,
     /// See `scatter_px`.
     pub scatter_share: f64,
 }
 
-/// By how much the contours of one side lie outside the place where the ray touches the surface: by an offset and a share of the
-/// radius of curvature that the surface has there along the view. Each is given with its standard deviation; what no object
-/// showed is near 0, with the deviation of a sensor of which nothing is known.
+/// Bias of the contours on one side: how far they lie outside the place where the ray touches the surface. It is an offset plus a
+/// share of the radius of curvature of the surface along the view. Each value comes with its standard deviation; without evidence
+/// it is near 0, with the standard deviation of an unknown sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SideErrors {
-    /// How many points of contours showed it, counted as objects are.
+    /// Number of contour points behind the estimate, weighted as objects are.
     pub points: f64,
     /// Their mean radius of curvature, in pixels; 0 without points.
     pub radius_px: f64,
-    /// The offset, in pixels.
+    /// Offset and its standard deviation, in pixels.
     pub offset_px: [f64; 2],
-    /// The share of the radius.
+    /// Share of the radius and its standard deviation.
     pub share: [f64; 2],
-    /// Both together at the mean radius, in pixels. Objects of one size tell this far better than its parts.
+    /// Offset and share together at the mean radius, and the standard deviation, in pixels. Objects of one size determine this
+    /// far better than its two parts.
     pub outside_px: [f64; 2],
 }
 
 impl Contours {
-    /// Forgets, before an image of this camera, as much of what earlier images showed that it counts for so many images; all of
-    /// it if that was another camera.
+    /// Discounts the evidence of earlier images before a new image, so that they count for `memory` images together; clears it if
+    /// the image is of another camera.
     pub fn next_image(&mut self, camera: &Camera, memory: f64) {
         let kept = if *camera == self.camera { memory / (memory + 1.0) } else { 0.0 };
         self.camera = *camera;
@@ -195,13 +197,13 @@ impl Contours {
         self.recent.iter().for_each(|shown| self.learned[shown.direction] += shown.counted(&self.new_share));
     }
 
-    /// What objects showed of contours, in rows and in columns, as far as any did.
+    /// Returns the errors of contours in rows and in columns, for each of both that has evidence.
     pub fn errors(&self) -> impl Iterator<Item = ContourErrors> {
         let scans = [Scan::Row, Scan::Column].into_iter().zip(&self.learned);
         scans.filter(|(_, learned)| learned.objects > 0.0).map(|(scan, learned)| learned.errors(scan))
     }
 
-    /// The contour that a region shows, with only those of its points used that are near that of its model.
+    /// Collects the contour of a region and selects the points near the contour of its model.
     fn select_points(&mut self, region: &Region) -> &Contour {
         self.contour.clear(self.noise(region));
         region.arcs().flat_map(|arc| arc.contour).flatten().for_each(|point| self.contour.add(point));
@@ -210,7 +212,7 @@ impl Contours {
         &self.contour
     }
 
-    /// The model of a region fitted anew, to its arcs and to the contour that they show, and this contour.
+    /// Fits the model of a region again, to its arcs and their contour; returns the model and the contour.
     pub fn fit(&mut self, region: &Region) -> Option<(Model, &Contour)> {
         let mut region = *region;
         for _ in 0..PASSES {
@@ -225,8 +227,8 @@ impl Contours {
         Some((region.model, &self.contour))
     }
 
-    /// Learns from an object where contours lie, and how far their points scatter. Unless it has surely moved since it was seen before,
-    /// its images tell less than as many objects would: what is its own, and noise that stays, is in each of them the same.
+    /// Learns the bias and the scatter of contours from an object. If the object may have stood still since it was last seen, its
+    /// images count for less than as many objects: its own part of the bias, and noise that stays, are the same in each of them.
     pub fn learn(&mut self, region: &Region, object: &Object) {
         let own = covariance(own_px(window_px(region)), SYSTEMATIC);
         let contour = self.select_points(region);
@@ -253,7 +255,7 @@ impl Contours {
         }
     }
 
-    /// How exact the contour of a region is: its bias by what is common to all of the sensor, and by what is its own.
+    /// Returns the noise of a region's contour; its bias has a part common to the sensor and a part of the object's own.
     fn noise(&self, region: &Region) -> ContourNoise {
         let window = window_px(region);
         let learned = &self.learned[direction(region.ends()[0].scan)];
@@ -265,7 +267,7 @@ impl Contours {
 }
 
 impl Shown {
-    /// Takes in its images before.
+    /// Adds the earlier images of the object.
     fn add(&mut self, before: &Self) {
         let images = self.images + before.kept * before.images;
         self.learned = self.learned.times(self.images / images);
@@ -273,7 +275,7 @@ impl Shown {
         self.images = images;
     }
 
-    /// What all of its images tell together.
+    /// Evidence of all its images together, with the weight that they have.
     fn counted(&self, new_share: &NewShare) -> Learned {
         let Self { learned, images, kept, .. } = *self;
         learned.times(kept * new_share.count(images))
@@ -294,7 +296,7 @@ impl AddAssign for Learned {
 }
 
 impl Learned {
-    /// What is left of it where observations count so many times.
+    /// Scales the evidence, as if observations counted so many times.
     fn times(self, times: f64) -> Self {
         Self {
             bias: self.bias * times,
@@ -306,13 +308,14 @@ impl Learned {
         }
     }
 
-    /// Expectation and covariance of the bias that all objects share, where so many further pixels share the noise of one.
+    /// Returns the expectation and covariance of the bias that all objects share, where `window` further pixels share the noise
+    /// of one.
     fn bias_of_all(&self, window: f64) -> (Vector4<f64>, Matrix4<f64>) {
         combined(self.bias, Vector4::zeros(), unknown(window))
     }
 
-    /// By how far the contours of a side lie off at a radius of curvature, in pixels, and the variance that this estimate has by what was
-    /// seen.
+    /// Returns how far contours of a side are off at a radius of curvature, in pixels, and the variance that the evidence (not
+    /// the prior) gives this estimate.
     fn outside(&self, side: usize, radius_px: f64) -> (f64, f64) {
         let (mean, covariance) = self.bias_of_all(self.window_px);
         let mut parts = Vector4::zeros();
@@ -321,7 +324,7 @@ impl Learned {
         (parts.dot(&mean), weights.dot(&(self.bias.matrix * weights)))
     }
 
-    /// Variance of a point of the contour, in square pixels, and further in squared radii.
+    /// Returns the variance of a contour point: a part in square pixels and a part in squared radii.
     fn variance(&self) -> Vector2<f64> {
         let expected = Vector2::new(POINT_PX, POINT_SHARE).map(|sigma| sigma * sigma);
         let (point, _) =
@@ -329,13 +332,13 @@ impl Learned {
         Vector2::new(point[0].max(LEAST_VARIANCE_PX), point[1].max(0.0))
     }
 
-    /// All that was learned in one direction.
+    /// Returns the errors in one direction of scanning.
     fn errors(&self, scan: Scan) -> ContourErrors {
         let (mean, covariance) = self.bias_of_all(self.window_px);
         let side = |side: usize| {
             let points = self.points[side];
             let radius_px = if points > 0.0 { self.radii_px[side] / points } else { 0.0 };
-            // The bias is counted as pixels are: where a line begins, outwards is backwards.
+            // The bias is positive along the line: at the first pixel, outwards is negative.
             let outwards = [-1.0, 1.0][side];
             let estimate = |offset: f64, share: f64| {
                 let mut parts = Vector4::zeros();
@@ -350,8 +353,8 @@ impl Learned {
     }
 }
 
-/// What an object shows of the bias and of the noise of the contours of its sensor, beside which its own is off with the
-/// covariance `own`; `None` where its points do not determine it.
+/// Returns what an object shows of the bias and of the noise of its sensor's contours; `own` is the covariance of the object's
+/// own part of the bias. `None` where its points do not determine it.
 fn shown<S: Surface<N>, const N: usize>(
     contour: &Contour,
     fit: &SurfaceFit<S, N>,
@@ -361,7 +364,7 @@ fn shown<S: Surface<N>, const N: usize>(
     Some((contour.bias_evidence(fit, scatter, own)?, contour.noise_evidence(&fit.surface)?))
 }
 
-/// Expectation and covariance of what was learned about numbers of which these were known before.
+/// Returns the posterior expectation and covariance of numbers with this prior, given the evidence `learned`.
 fn combined<const N: usize>(
     learned: Information<N>,
     mean: SVector<f64, N>,
@@ -371,39 +374,41 @@ fn combined<const N: usize>(
     known().unwrap_or((mean, covariance))
 }
 
-/// Covariance of the bias of a sensor of which nothing is known, where so many further pixels share the noise of one.
+/// Returns the covariance of the bias of an unknown sensor, where `window` further pixels share the noise of one.
 fn unknown(window: f64) -> Matrix4<f64> {
     covariance(OFFSET_PX.hypot(WINDOW_OFFSET_PX * window), SHARE)
 }
 
-/// Standard deviation by which the contour of one object is off by itself, where so many further pixels share the noise of one.
+/// Returns the standard deviation of an object's own contour error in pixels, where `window` further pixels share the noise of
+/// one.
 fn own_px(window: f64) -> f64 {
     SYSTEMATIC_PX + FLATTENED_PX * window
 }
 
-/// Within how many pixels of its outline the points of an object are flattened: none where its contour is not expected outside.
+/// Returns the width of the flattened strip inside the outline of an object, in pixels; 0 where the contour is not expected
+/// outside.
 pub(super) fn edge_px(contour: &Contour) -> f64 {
     EDGE_WIDTH * contour.outside_px()
 }
 
-/// How many further pixels share the noise of one.
+/// Returns the number of further pixels that share the noise of one.
 fn window_px(region: &Region) -> f64 {
     region.ends()[0].shared_px - 1.0
 }
 
-/// Whether an object is where it was seen before, as far as noise tells.
+/// Returns whether the displacement of an object is within the noise.
 fn is_still(before: &Object, now: &Object) -> bool {
     let covariance = [before, now].map(|object| Matrix3::from(object.sigma.center)).iter().sum::<Matrix3<f64>>();
     let moved = Vector3::from(now.center) - Vector3::from(before.center);
     covariance.cholesky().is_some_and(|root| moved.dot(&root.solve(&moved)) <= STILL * STILL)
 }
 
-/// Rows or columns.
+/// Returns 0 for rows, 1 for columns.
 fn direction(scan: Scan) -> usize {
     usize::from(scan == Scan::Column)
 }
 
-/// Covariance of a bias whose offset and share have these standard deviations on both sides.
+/// Returns the covariance of a bias whose offset and share have these standard deviations on both sides.
 fn covariance(offset_px: f64, share: f64) -> Matrix4<f64> {
     Matrix4::from_diagonal(&Vector4::new(offset_px, share, offset_px, share).map(|sigma| sigma * sigma))
 }
@@ -420,8 +425,8 @@ mod tests {
 
     const CAMERA: Camera = Camera { width: 320, height: 240, fx: 262.5, fy: 262.5, cx: 159.5, cy: 119.5 };
 
-    /// What columns have shown of this camera: on the first side that contours lie half a pixel and 1 % of the radius outwards, on
-    /// the last half a pixel inwards and 2 % outwards.
+    /// Evidence that columns showed of this camera: on the first side contours lie half a pixel and 1 % of the radius outwards,
+    /// on the last half a pixel inwards and 2 % outwards.
     fn learned() -> Contours {
         let bias = Information::of(&Vector4::new(-0.5, -0.01, -0.5, 0.02), &covariance(1e-5, 1e-6)).unwrap();
         let learned =
@@ -470,7 +475,7 @@ mod tests {
     const RADIUS: f64 = 0.2;
     const DISTANCE: f64 = 1.5;
 
-    /// The arcs of a ball before a wall, and those in rows or columns that are of it.
+    /// The arcs of a ball before a wall, and the indices of those in rows or columns that lie on the ball.
     fn ball(scan: Scan) -> (Arcs, Vec<usize>) {
         let arcs = arcs_of(&[sphere(Vector3::z() * DISTANCE, RADIUS), wall(4.0)]);
         let is_of_it = |&index: &usize| arcs.arcs[index].scan == scan && arcs.arcs[index].mean.z < 2.0;
@@ -484,7 +489,7 @@ mod tests {
         Region { model: contours.fit(&region).unwrap().0, ..region }
     }
 
-    /// What is found of a ball so far to the right.
+    /// The report on a ball at this place along x, in metres.
     fn ball_at(x: f64) -> Object {
         let sigma = ObjectSigma { center: Matrix3::from_diagonal_element(1e-4).into(), ..ObjectSigma::default() };
         Object {
@@ -505,7 +510,7 @@ mod tests {
             objects.iter().for_each(|&x| contours.learn(&region, &ball_at(x)));
             contours.errors().next().unwrap()
         };
-        // How far its points scatter is expected by what it showed before.
+        // The expected scatter is learned from the first images, so they are not compared.
         let often: Vec<_> = (0..20).map(|image| told(&[0.01 * f64::from(image)])).collect();
         let [before, after] = [10, 19].map(|image| often[image].sides[0].outside_px[1]);
         assert!((often[19].objects - 1.0).abs() < 1e-3 && (after / before - 1.0).abs() < 0.02, "{often:?}");
@@ -521,7 +526,7 @@ mod tests {
         assert!((again.objects - 2.0).abs() < 3e-3, "after long it is another one: {again:?}");
     }
 
-    /// Images of one object of which a share of the variance is new in each.
+    /// Images of one object in each of which a share of the variance is new.
     #[test]
     fn an_object_that_stands_still_counts_for_as_many_as_its_images_differ() {
         for share in [0.0_f64, 0.5, 1.0] {
@@ -555,7 +560,7 @@ mod tests {
 
     #[test]
     fn each_object_shows_as_much_as_its_contour_has_points_at_the_radius_that_it_has_there() {
-        // All rays that touch a ball do so at one depth.
+        // All rays that touch a ball touch it at the same depth.
         let depth = (DISTANCE.powi(2) - RADIUS.powi(2)) / DISTANCE;
         let expected_px = KINECT_HALF.fx * RADIUS / depth;
         for scan in [Scan::Row, Scan::Column] {
@@ -594,7 +599,7 @@ mod tests {
         assert!(hidden.outside_px[1] > 0.9 && seen.outside_px[1] < 0.2, "{told:?}");
     }
 
-    /// Of windows of three pixels, of which two share the noise of one.
+    /// Windows of three pixels: two further pixels share the noise of one.
     #[test]
     fn a_contour_is_off_by_what_is_its_own_beside_what_is_not_known_of_all() {
         let unknown = covariance(OFFSET_PX.hypot(2.0 * WINDOW_OFFSET_PX), SHARE);
@@ -615,7 +620,7 @@ mod tests {
     #[test]
     fn what_is_expected_of_the_scatter_may_be_wrong_by_as_much_as_it_is() {
         let before = Learned::default().variance();
-        // What is shown is as unsure as that, so that the mean of both is told.
+        // The evidence is as uncertain as the prior, so the estimate is the mean of both.
         let shown = Information::of(&(before * 3.0), &Matrix2::from_diagonal(&before.map(|variance| variance.powi(2))));
         let told = Learned { noise: shown.unwrap(), ..Learned::default() }.variance();
         assert!((told - before * 2.0).component_div(&before).norm() < 1e-9, "{told} {before}");

@@ -1,4 +1,4 @@
-//! Growth of an object: from a few arcs that lie beside each other, a model takes in line after line what it explains.
+//! Growth of an object: a model starts from a few neighbouring arcs, and takes in line after line the arcs that it explains.
 
 use super::arcs::{Arc, Arcs, Misfit};
 use super::model::{self, Model, Predictor};
@@ -15,65 +15,65 @@ const CORE_ARCS: usize = 9; // [algorithmic]
 const MIN_FIT_ARCS: usize = 5; // [algorithmic]
 /// Most rounds of growing and refitting; each round doubles the extent at most.
 const MAX_ROUNDS: usize = 7; // [algorithmic]
-/// The summed bulge of a chain has to exceed that of straight arcs by so many standard deviations.
+/// Fewest standard deviations by which the summed bulge of a chain has to exceed that of straight arcs.
 const CHAIN_SIGMAS: f64 = 3.0; // [sigmas]
-/// Mean and variance of the bulge that noise gives a straight arc: zero for one arc in two, else chi squared with one degree
-/// of freedom.
+/// Mean and variance of the bulge of a straight arc with noise: zero for one arc in two, else chi squared with one degree of
+/// freedom.
 const STRAIGHT: [f64; 2] = [0.5, 1.25]; // [derived] [derived]
-/// Pixels on both sides of the arcs of one line within which arcs of the next line are accepted.
+/// Margin in pixels on both sides of the arcs of one line, within which arcs of the next line are accepted.
 const BESIDE_MARGIN_PX: i64 = 2; // [tuned]
-/// That margin is wider by the length of the arcs over this.
+/// The margin grows by the length of the arcs divided by this.
 const BESIDE_MARGIN_DIVISOR: i64 = 8; // [tuned]
-/// Number of lines by which a model of few lines may grow in one round.
+/// Least number of lines by which a model may grow in one round, even if it has fewer lines.
 const LEAST_STEP: i64 = 4; // [algorithmic]
-/// Widest gap that is bridged, as a part of the lines of the object: something may stand before it.
+/// Widest gap that is bridged, as a part of the lines of the object: something may stand in front of it.
 const MAX_GAP_SHARE: f64 = 0.5; // [tuned]
-/// Beyond a gap there have to be at least so many times as many lines as in it. Where so many lines are tried, a few are
-/// explained by chance, such as a line of the lid of a can where its far wall would be.
+/// Fewest lines beyond a gap, for each line of the gap: fewer are dropped. Where so many lines are tried, a few are explained by
+/// chance, such as a line of the lid of a can where its far wall would be.
 const MIN_LINES_PER_GAP_LINE: f64 = 0.1; // [tuned]
 
-/// A radius that exceeds its limit by so many standard deviations is that of a wall.
+/// Standard deviations by which a radius has to exceed its limit for the model to count as a wall.
 const TOO_LARGE: f64 = 4.0; // [sigmas]
 
-/// How far an arc may be off a model and belong to it.
+/// Gate on the residuals of an arc from a model to which it may belong.
 pub(crate) struct Gate {
-    /// Standard deviations by which the mean and the mean square may scatter, given the noise and the uncertainty of the
-    /// model.
+    /// Standard deviations by which the mean, and the mean square less that of the noise, may differ from zero, given the noise
+    /// and the uncertainty of the model.
     scatter: f64,
-    /// Mean square by which a surface may differ from its model on top of that, in variances of a point. All points of an arc may
-    /// be off alike, so that its root is what the mean may be off.
+    /// Mean square by which the surface may differ from its model in addition, in variances of a point. All points of an arc may
+    /// be off alike, so the mean may be off by the root of it.
     slack: f64,
 }
 
-/// For one more arc while a model grows.
+/// Gate of one more arc while a model grows.
 const GROWING: Gate = Gate { scatter: 2.5, slack: 0.3 }; // [sigmas] [tuned]
-/// For all arcs of the first fit together.
+/// Gate of all arcs of the first fit together.
 const FIRST: Gate = Gate { scatter: 3.0, slack: 0.5 }; // [sigmas] [tuned]
-/// For each arc of a model that has grown.
+/// Gate of each arc of a grown model.
 const SETTLED: Gate = Gate { scatter: 2.5, slack: 0.15 }; // [sigmas] [tuned]
-/// For the first and the last arcs of a model that has grown: an object meets the floor, a rim or another object there.
+/// Gate of the first and the last arcs of a grown model, where an object meets the floor, a rim or another object.
 const AT_ENDS: Gate = Gate { scatter: 1.2, slack: 0.0 }; // [sigmas]
-/// For what lies beyond a model that has grown: what is farther off than noise explains is not of its surface.
+/// Gate of arcs beyond a grown model: an arc that is off by more than noise explains is of another surface.
 pub(crate) const NOISE_ONLY: Gate = Gate { scatter: 2.5, slack: 0.0 }; // [sigmas]
-/// In a mean square the variance of the model counts so many times: it is that in the middle of the arc, and elsewhere on the arc
-/// it is larger.
+/// Factor on the variance of the model in the gate on a mean square: the variance is that in the middle of the arc, and it is
+/// larger elsewhere on the arc.
 const ALONG_ARC: f64 = 4.0; // [tuned]
 
 impl Gate {
-    /// Whether an arc may have this misfit, given the variance of the model where it lies.
+    /// Returns whether an arc may have this misfit, given the variance of the model at the arc, in square metres.
     pub fn admits(&self, arc: &Arc, misfit: &Misfit, uncertainty: f64) -> bool {
         let square = arc.variance * self.square_limit(arc.points) + ALONG_ARC * uncertainty;
         let scatter = (arc.variance / arc.points + uncertainty).sqrt();
         misfit.square <= square && misfit.mean.abs() <= (self.slack * arc.variance).sqrt() + self.scatter * scatter
     }
 
-    /// Greatest mean square, in variances.
+    /// Returns the limit on the mean square, in variances of a point.
     fn square_limit(&self, points: f64) -> f64 {
         self.slack + self.scatter * (2.0 / points).sqrt()
     }
 }
 
-/// Buffers of a growth.
+/// Buffers of the growth.
 #[derive(Debug, Default)]
 pub(crate) struct Growing {
     /// The seed with its neighbours.
@@ -84,8 +84,9 @@ pub(crate) struct Growing {
 }
 
 impl Growing {
-    /// What grows of each shape from the chain, or why nothing does: sphere, cylinder and cone. Where a cylinder explains all of
-    /// that, a sphere has to as well; and a slope needs many lines: a cone starts from what a cylinder took for one.
+    /// Grows a sphere, a cylinder and a cone from the chain; returns each model, or why it was rejected. If a cylinder explains
+    /// the whole chain, a sphere has to explain it all, too. A cone starts from the lines that the cylinder reached, because its
+    /// slope shows only over many lines.
     pub fn models(
         &mut self,
         arcs: &Arcs,
@@ -104,7 +105,7 @@ impl Growing {
     }
 }
 
-/// The seed with its neighbours on both sides, in the order of the lines.
+/// Collects the seed with its neighbours on both sides, in the order of the lines.
 pub(crate) fn chain(arcs: &Arcs, seed: usize, gap: i64, free: impl Fn(usize) -> bool + Copy, chain: &mut Vec<usize>) {
     chain.clear();
     for side in [-1, 1] {
@@ -121,7 +122,7 @@ pub(crate) fn chain(arcs: &Arcs, seed: usize, gap: i64, free: impl Fn(usize) -> 
     }
 }
 
-/// Whether a chain has enough arcs, and they are surely curved, all together.
+/// Checks that a chain has enough arcs, and that together they are surely curved.
 pub(crate) fn is_promising(arcs: &Arcs, chain: &[usize], parameters: &AssemblerParameters) -> Result<(), Rejection> {
     if chain.len() < parameters.pooled.min_lines as usize {
         return Err(Rejection::FewRows);
@@ -132,26 +133,26 @@ pub(crate) fn is_promising(arcs: &Arcs, chain: &[usize], parameters: &AssemblerP
     if bulge > mean + CHAIN_SIGMAS * variance.sqrt() { Ok(()) } else { Err(Rejection::Flat) }
 }
 
-/// What a growth starts from.
+/// Start of a growth.
 #[derive(Clone, Copy)]
 struct Start<'a> {
     pub kind: ObjectKind,
     pub chain: &'a [usize],
-    /// A model of it, of this or another kind, if there is one.
+    /// A model of the chain as first guess, of this or another kind.
     pub guess: Option<&'a Model>,
-    /// Whether its middle will do, where the whole is spoilt by its ends.
+    /// Whether a model of the middle of the chain suffices if the ends spoil the whole.
     pub middle_will_do: bool,
 }
 
-/// What came of a growth.
+/// Result of a growth.
 struct Growth {
     pub grown: Result<Model, Rejection>,
     /// Whether its first model explained the whole chain.
     pub from_whole: bool,
 }
 
-/// Grows a model of one kind from a chain on, and leaves the arcs that it explains in `members`, in the order of the
-/// lines. `spare` is a buffer.
+/// Grows a model of one kind from a chain; puts the arcs that it explains into `members`, in the order of the lines. `spare` is a
+/// buffer.
 fn grow(
     arcs: &Arcs,
     start: &Start,
@@ -166,7 +167,7 @@ fn grow(
     Growth { grown: first.and_then(|first| grow_on(arcs, first, parameters, free, members, spare)), from_whole }
 }
 
-/// Takes in what the model explains and fits it again, as long as it takes in more; gives up what is a wall.
+/// Takes in the arcs that the model explains and fits it again, as long as it grows; gives up a model that is a wall.
 fn grow_on(
     arcs: &Arcs,
     mut model: Model,
@@ -198,7 +199,7 @@ fn grow_on(
         if members.len() < MIN_FIT_ARCS {
             return Err(Rejection::NotGrown);
         }
-        // The model is that of these members already.
+        // The model was fitted to these members already.
         if members.len() == before {
             break;
         }
@@ -207,7 +208,7 @@ fn grow_on(
     Ok(model)
 }
 
-/// The model of the chain if it explains the chain, else one of its middle.
+/// Fits a model to the chain; if it does not explain the chain, to its middle, if that suffices.
 fn first(arcs: &Arcs, start: &Start, members: &mut Vec<usize>) -> Option<Model> {
     let &Start { kind, chain, guess, middle_will_do } = start;
     let lengths = [chain.len(), CORE_ARCS, MIN_FIT_ARCS];
@@ -225,8 +226,8 @@ fn first(arcs: &Arcs, start: &Start, members: &mut Vec<usize>) -> Option<Model> 
     None
 }
 
-/// The arcs around the members that the model explains, without too wide a gap, and not farther off than the members
-/// reach.
+/// Finds the arcs around the members that the model explains, across gaps that are not too wide, up to the length of the members
+/// beyond either end.
 fn reach(region: &Region, gap: i64, free: impl Fn(usize) -> bool, found: &mut Vec<usize>) {
     let Region { arcs, model, members } = region;
     let line = |index: usize| i64::from(arcs.arcs[members[index]].line);
@@ -236,7 +237,7 @@ fn reach(region: &Region, gap: i64, free: impl Fn(usize) -> bool, found: &mut Ve
     let (q, predictor) = (model.coefficients(), Predictor::new(model));
     let accept = |index: usize| {
         let arc = &arcs.arcs[index];
-        // What an exact model explains needs no look at how exact this one is.
+        // Computes the uncertainty of the model only where the noise alone does not explain the misfit.
         let admits =
             |misfit| GROWING.admits(arc, &misfit, 0.0) || GROWING.admits(arc, &misfit, predictor.variance(&arc.mean));
         free(index) && model.misfit(&q, arc).is_some_and(admits)
@@ -259,7 +260,7 @@ fn reach(region: &Region, gap: i64, free: impl Fn(usize) -> bool, found: &mut Ve
     found.sort_unstable();
 }
 
-/// Leaves out the members that the model explains badly, at the ends by a narrower gate.
+/// Removes the members that the model explains badly; at the ends the gate is narrower.
 fn clean(arcs: &Arcs, model: &Model, members: &mut Vec<usize>) {
     let q = model.coefficients();
     let admits = |gate: &Gate, index: usize| {
@@ -274,7 +275,7 @@ fn clean(arcs: &Arcs, model: &Model, members: &mut Vec<usize>) {
     drop_strays(members, |index| f64::from(arcs.arcs[index].line));
 }
 
-/// Leaves out, at either end, the few lines that lie beyond a gap.
+/// Removes, at either end, the few lines that lie beyond a gap.
 fn drop_strays(members: &mut Vec<usize>, line: impl Fn(usize) -> f64) {
     let are_few = |beyond: f64, pair: &[usize]| beyond < MIN_LINES_PER_GAP_LINE * (line(pair[1]) - line(pair[0]) - 1.0);
     let lines_from = |from: usize, to: usize| line(to) - line(from) + 1.0;
@@ -337,7 +338,7 @@ mod tests {
         }
     }
 
-    /// The rows of two cans that stand side by side, each can's by the rows' numbers.
+    /// The arcs of two cans side by side, and the indices of each can's rows in order.
     fn two_cans() -> (Arcs, [Vec<usize>; 2]) {
         let can = |x: f64| {
             let (center, axis) = (Vector3::new(x, 0.0, 2.0), Vector3::y());
@@ -364,8 +365,8 @@ mod tests {
         assert_eq!(found, left[middle..=middle + MAX_CHAIN_SIDE], "what is before it belongs to another");
     }
 
-    /// Of 16 straight arcs the bulges sum up to 8, with a standard deviation of 4.47 where the noise of each is its own, and of
-    /// twice that where four lines share theirs.
+    /// The bulges of 16 straight arcs sum up to 8. The standard deviation is 4.47 with independent noise, and twice that where
+    /// four lines share their noise.
     #[test]
     fn a_chain_is_promising_where_its_arcs_are_bent_by_more_than_noise_bends_straight_ones() {
         let (mut arcs, [left, _]) = two_cans();
@@ -403,14 +404,14 @@ mod tests {
         assert_eq!([grown(4), grown(5)], [None, Some(5)]);
     }
 
-    /// The mean square by half a variance and by three times the scatter of one of so many points.
+    /// The limit on the mean square is half a variance plus three times the standard deviation for this number of points.
     #[test]
     fn a_first_model_leaves_no_more_of_its_points_than_noise_and_a_little_accounts_for() {
         let (mut arcs, [left, _]) = two_cans();
         let chain = &left[20..45];
         let points: f64 = arcs.of(chain).map(|arc| arc.points).sum();
         for (share, will_do) in [(0.98, true), (1.02, false)] {
-            // A sphere does not explain a can: the noise becomes such that it leaves so much of it.
+            // A sphere does not explain a can. The noise is scaled so that it leaves the given share of the limit.
             let model = model::fit(ObjectKind::Sphere, &arcs.of(chain), None, f64::INFINITY).unwrap();
             let louder = model.square_sum() / (share * (0.5 * points + 3.0 * (2.0 * points).sqrt()));
             chain.iter().for_each(|&index| arcs.arcs[index].variance *= louder);
@@ -446,7 +447,7 @@ mod tests {
         }
     }
 
-    /// Of a chain whose ends are of another can the middle will do, unless a sphere is to explain what a cylinder does.
+    /// If the ends of a chain belong to another can, the middle suffices, unless a sphere has to explain what a cylinder does.
     #[test]
     fn a_shape_explains_the_whole_chain_its_middle_or_nothing_of_it() {
         let (arcs, [left, right]) = two_cans();
@@ -543,7 +544,7 @@ mod tests {
         for seed in rows_of(&arcs, |_| true) {
             chain(&arcs, seed, parameters.max_gap(), |_| true, &mut growing.chain);
             let models = growing.models(&arcs, &parameters, |_| true);
-            // A cone of few lines is not determined.
+            // Too few lines do not determine a cone.
             for (model, members) in models.into_iter().zip(&growing.members).take(2) {
                 let Ok(model) = model else { continue };
                 let again = model::fit(model.kind(), &arcs.of(members), Some(&model), f64::INFINITY).unwrap();

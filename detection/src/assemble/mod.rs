@@ -1,11 +1,11 @@
-//! Ellipses -> objects: no ellipse has to be right on its own.
+//! Ellipses -> objects: single ellipses may be wrong.
 //!
-//! The files stand in the order of the steps: the arcs with the moments of their points ([`arcs`]); which of them are tried first
-//! ([`seeds`]); how a model grows from one over the lines ([`growth`]), with the three models and their fits ([`model`]), what
-//! they explain ([`region`]) and the contours that they show ([`contours`]); what an object has to fulfil as a whole
-//! ([`verify`]), with whether it is round at all ([`round`]); which of the shapes it is ([`choice`]); what is told of it
-//! ([`report`]); how probable it is that it is one ([`odds`]), and whether it is in the place of another ([`place`]); and why
-//! candidates are turned down ([`rejection`]). The walk itself is `Assembler::assemble` in `method.rs`.
+//! The files in the order of the steps: the arcs with the moments of their points ([`arcs`]); the order in which they are tried
+//! ([`seeds`]); the growth of a model from one arc over the lines ([`growth`]), with the three models and their fits ([`model`]),
+//! the arcs that they explain ([`region`]) and their contours ([`contours`]); the requirements on an object ([`verify`]), and
+//! whether it is round at all ([`round`]); the choice of its shape ([`choice`]); its report ([`report`]); the probability that it
+//! is an object ([`odds`]), and whether another object is in its place ([`place`]); and the reasons for which candidates are
+//! rejected ([`rejection`]). `Assembler::assemble` in `method.rs` puts the steps together.
 
 pub(crate) mod arcs;
 pub(crate) mod choice;
@@ -36,8 +36,8 @@ use growth::Growing;
 use odds::Evidence;
 use seeds::Seeds;
 
-/// Finds the objects in lists of ellipses, those of one image of a sensor after another: what objects show of where this sensor
-/// puts contours is used for the next ones (`contour_memory`). Its buffers are used again for the next list.
+/// Finds the objects in lists of ellipses, those of one image of a sensor after another. Later images benefit from the errors of
+/// contours that objects showed (`contour_memory`). Its buffers are used again for the next list.
 #[derive(Debug)]
 pub struct Assembler {
     pub(crate) parameters: AssemblerParameters,
@@ -51,7 +51,7 @@ pub struct Assembler {
 }
 
 impl Assembler {
-    /// An assembler with these parameters.
+    /// Creates an assembler with these parameters.
     pub fn new(parameters: AssemblerParameters) -> Self {
         Self {
             parameters,
@@ -65,17 +65,17 @@ impl Assembler {
         }
     }
 
-    /// All candidates of the last image, reported or not, with what spoke for each and against it.
+    /// Returns all candidates of the last image, reported or not, with the evidence for and against each.
     pub fn candidates(&self) -> &[(Object, Evidence)] {
         &self.candidates
     }
 
-    /// By how much contours are off, as objects showed it so far: in rows, and in columns.
+    /// Returns the errors of contours that objects have shown so far, in rows and in columns.
     pub fn contour_errors(&self) -> impl Iterator<Item = ContourErrors> {
         self.contours.errors()
     }
 
-    /// Why candidates of the last image were turned down, and how many of them.
+    /// Returns the reasons for which candidates of the last image were rejected, with their numbers.
     pub fn rejections(&self) -> impl Iterator<Item = (&'static str, u64)> {
         self.rejections.iter()
     }

@@ -8,12 +8,13 @@ use conicflow_geometry::{
 };
 use conicflow_messages::ObjectKind;
 
-/// Least radius at an arc of a cone, as a part of that at its point. It keeps weights finite near the apex, where F tells no
-/// distance.
+/// Lower bound of the radius of a cone at an arc, relative to that at its point. Near the apex F is no distance, and this bound
+/// keeps the weights finite.
 const MIN_RADIUS_RATIO: f64 = 0.05; // [algorithmic]
-/// The first fit of a cone may leave so many times the square sum of its refit: it weighs the arcs as those of a cylinder.
+/// Limit on the square sum of the first fit of a cone, as a multiple of that of its refit: the first fit weights arcs as those of
+/// a cylinder.
 const UNWEIGHTED: f64 = 2.0; // [algorithmic]
-/// Largest slope of a cone: the fit of a steeper one has diverged.
+/// Largest slope of a cone; the fit of a steeper one has diverged.
 const STEEPEST: f64 = 1.2; // [algorithmic]
 
 /// Largest radius of a starting value, in metres.
@@ -27,7 +28,7 @@ pub(crate) enum Model {
     Cone(SurfaceFit<Conical, 6>),
 }
 
-/// What some expression tells of the fit, whatever the shape is.
+/// Evaluates an expression of the fit, whatever the shape.
 macro_rules! of_fit {
     ($model:expr, $fit:ident => $told:expr) => {
         match $model {
@@ -60,7 +61,7 @@ impl Model {
         }
     }
 
-    /// The point from which places along the axis are counted, and the direction of the axis; the centre and zero for a sphere.
+    /// Returns the origin of positions along the axis, and the direction of the axis; of a sphere its centre and zero.
     pub fn axis(&self) -> (Vector3, Vector3) {
         match self {
             Self::Sphere(fit) => (fit.surface.center, Vector3::zeros()),
@@ -70,7 +71,7 @@ impl Model {
         }
     }
 
-    /// Radius, and its variance were the noise of each line its own.
+    /// Returns the radius and its variance, as if each line had its own noise.
     pub fn radius(&self) -> (f64, f64) {
         match self {
             Self::Sphere(fit) => (fit.surface.radius, fit.inverse[(3, 3)]),
@@ -79,7 +80,7 @@ impl Model {
         }
     }
 
-    /// Radius of a sphere or cylinder, and of a cone where `mean` is.
+    /// Returns the radius of a sphere or cylinder, or that of a cone at `mean`.
     pub fn radius_at(&self, mean: &Vector3) -> f64 {
         match self {
             Self::Sphere(fit) => fit.surface.radius,
@@ -88,8 +89,8 @@ impl Model {
         }
     }
 
-    /// Radius of a cone at an arc over that at its point: F is too great there by this factor (see [`Conical`]). Below zero
-    /// beyond the apex.
+    /// Returns the radius of a cone at an arc, relative to that at its point: F is too large there by this factor (see
+    /// [`Conical`]). It is negative beyond the apex.
     fn radius_ratio(&self, arc: &Arc) -> f64 {
         match self {
             Self::Cone(fit) => fit.surface.radius_at(&arc.mean) / fit.surface.radius,
@@ -97,7 +98,7 @@ impl Model {
         }
     }
 
-    /// The weight of a point of an arc: one over the variance of F there.
+    /// Returns the weight of a point of an arc: one over the variance of F there.
     pub fn weight(&self, arc: &Arc) -> f64 {
         1.0 / (arc.variance * self.radius_ratio(arc).max(MIN_RADIUS_RATIO).powi(2))
     }
@@ -117,8 +118,7 @@ impl Model {
         self.square_sum() + self.contour_sum()
     }
 
-    /// How far the points of an arc are off the model, of which `q` are the coefficients; `None` near and beyond the apex of a
-    /// cone.
+    /// Returns the residuals of an arc from the model, whose coefficients are `q`; `None` near and beyond the apex of a cone.
     pub fn misfit(&self, q: &Coefficients, arc: &Arc) -> Option<Misfit> {
         let ratio = self.radius_ratio(arc);
         let Misfit { square, mean } = arc.misfit(q);
@@ -126,7 +126,7 @@ impl Model {
     }
 }
 
-/// How well a model tells where its surface is.
+/// Predicts the variance of a model's surface.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Predictor {
     Sphere(Prediction<4>),
@@ -153,20 +153,20 @@ impl Predictor {
     }
 }
 
-/// The points of the arcs pooled, each with a weight.
+/// Pools the moments of arcs, each with its weight.
 fn pool<'a>(arcs: impl Iterator<Item = &'a Arc>, weight: impl Fn(&Arc) -> f64) -> SpaceMoments {
     let mut pool = SpaceMoments::default();
     arcs.for_each(|arc| pool.add(arc.space(), weight(arc)));
     pool
 }
 
-/// The weight of a point of which nothing is known but its noise.
+/// Returns the weight of a point by its noise alone.
 fn precision(arc: &Arc) -> f64 {
     1.0 / arc.variance
 }
 
-/// The arcs of a region pooled with the weights that its model gives them, without the points outside its outline, or within
-/// `edge_px` pixels of it.
+/// Pools the arcs of a region with the weights of its model, without the points outside its outline or within `edge_px` pixels of
+/// it.
 pub(super) fn pool_within(region: &Region, edge_px: f64) -> SpaceMoments {
     let (model, q) = (&region.model, region.model.coefficients());
     let (mut pool, mut left_out) = (SpaceMoments::default(), 0);
@@ -179,12 +179,12 @@ pub(super) fn pool_within(region: &Region, edge_px: f64) -> SpaceMoments {
         pool.add(arc.space(), weight);
         arc.outside(&q, edge_px).for_each(|point| pool.add(&point, -weight));
     }
-    // Nothing else tells of what is seen at its edge alone.
+    // If most lines lie at the edge, the object shows nothing better: they are not left out.
     if 2 * left_out > region.members.len() { pool_within(region, 0.0) } else { pool }
 }
 
-/// Fits a model of a kind; starts from `last` where there is one of that kind, and is given up where the weighted sum of
-/// squares will not get below `most`.
+/// Fits a model of a kind; starts from `last` if that is of the same kind. Gives up where the weighted sum of squares will not
+/// fall below `most`.
 pub(super) fn fit<'a>(
     kind: ObjectKind,
     arcs: &(impl Iterator<Item = &'a Arc> + Clone),
@@ -233,7 +233,7 @@ fn fit_cone<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Mo
     fit_surface(&moments, &first.surface, most).map(|fit| Model::Cone(upright(fit)))
 }
 
-/// The same cone, its axis pointing away from the apex.
+/// Returns the same cone with its axis pointing away from the apex.
 pub(super) fn upright(fit: SurfaceFit<Conical, 6>) -> SurfaceFit<Conical, 6> {
     if fit.surface.slope >= 0.0 {
         return fit;
@@ -241,7 +241,7 @@ pub(super) fn upright(fit: SurfaceFit<Conical, 6>) -> SurfaceFit<Conical, 6> {
     let mut flipped = fit;
     let before = fit.surface;
     flipped.surface = Conical { axis: -before.axis, slope: -before.slope, ..before };
-    // Parameters: tilts, shifts, radius, slope; the directions across turn with the axis.
+    // Parameters: tilts, shifts, radius, slope. The directions across turn with the axis.
     let (old, new) = (before.across(), flipped.surface.across());
     let turn = |i: usize| new[i].dot(&old[i]);
     let signs = [-turn(0), -turn(1), turn(0), turn(1), 1.0, -1.0];
@@ -254,7 +254,7 @@ pub(super) fn upright(fit: SurfaceFit<Conical, 6>) -> SurfaceFit<Conical, 6> {
     flipped
 }
 
-/// A guess from the circles of the arcs, of which `moments` are those of the points: of some directions for the axis that
+/// Returns a starting value, from the circle in which `moments`, the pooled points, appear along an axis: of several axes the one
 /// along which the points lie best on one circle.
 fn start<'a>(arcs: impl Iterator<Item = &'a Arc> + Clone, moments: &QuadricMoments) -> Option<Conical> {
     let first = arcs.clone().next()?;
@@ -269,7 +269,7 @@ fn start<'a>(arcs: impl Iterator<Item = &'a Arc> + Clone, moments: &QuadricMomen
     guesses.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, guess)| guess)
 }
 
-/// The circle through all points as seen along an axis, and the mean square distance from it.
+/// Fits a circle to all points as seen along an axis; returns the mean square distance from it, and the cylinder.
 fn round_about(moments: &QuadricMoments, axis: &Vector3) -> Option<(f64, Conical)> {
     let [u, v] = across(axis);
     let ArcFit { circle, circle_square, .. } = moments.seen_along(&u, &v).fit();
@@ -289,7 +289,7 @@ mod tests {
     use conicflow_lab::rendered::{KINECT_HALF, frustum};
     use conicflow_messages::NoiseModel;
 
-    /// A cone that leans, two metres away.
+    /// A leaning cone at a distance of two metres.
     fn cone() -> Conical {
         let axis = Vector3::new(0.1, 0.9, 0.2).normalize();
         Conical { point: Vector3::new(0.05, 0.0, 2.0), axis, radius: 0.2, slope: 0.3 }
@@ -306,14 +306,14 @@ mod tests {
         }
     }
 
-    /// F is too great by as much as the radius is greater than in the middle.
+    /// F is larger than the distance by the ratio of the radius to that in the middle.
     #[test]
     fn the_points_of_a_cone_are_off_by_their_distance_wherever_they_are() {
         let cone = cone();
         let arcs = arcs_by(KINECT_HALF, NoiseModel::IDEAL, &[body(&cone)]);
         let (rows, depth) = (rows_of(&arcs, |arc| cone.radius_at(&arc.mean) > 0.14), 0.004);
         let mut fit = fitted(&arcs, &rows);
-        // Farther in everywhere by so much, across its surface.
+        // The surface is moved in by `depth` everywhere, measured across it.
         fit.surface = Conical { radius: cone.radius - depth / cone.half_angle().cos(), ..cone };
         let model = Model::Cone(fit);
         let ratios: Vec<_> = arcs.of(&rows).map(|arc| model.radius_ratio(arc)).collect();

@@ -1,10 +1,10 @@
-//! The one decision: how probable it is that a candidate is an object of its shape, and not a part of anything else.
+//! Decides how probable it is that a candidate is an object of its shape, and not part of something else.
 //!
-//! Noise that neighbours share, creased cloth, edges of boxes and limbs give candidates that some sphere, cylinder or cone
-//! explains. What tells them from objects is not one limit that they miss but all of their [`Evidence`] together: the
-//! logarithm of the odds is a weighted sum of it (logistic regression; Hastie, Tibshirani and Friedman, "The Elements of
-//! Statistical Learning", section 4.4). `cargo bench --bench odds` fits the weights to candidates in simulated scenes and
-//! prints how often candidates of each confidence are right.
+//! Noise that neighbouring pixels share, creased cloth, edges of boxes and limbs give candidates that some sphere, cylinder or
+//! cone explains. No single limit separates them from objects, but all of their [`Evidence`] together does: the logarithm of the
+//! odds is a weighted sum of it (logistic regression; Hastie, Tibshirani and Friedman, "The Elements of Statistical Learning",
+//! section 4.4). `cargo bench --bench odds` fits the weights to candidates in simulated scenes and prints how often candidates of
+//! each confidence are right.
 
 use super::arcs::Arc;
 use super::growth::NOISE_ONLY;
@@ -12,54 +12,55 @@ use super::region::Region;
 use super::verify::Candidate;
 use conicflow_messages::{Object, ObjectKind};
 
-/// Upper bound of the mean square error of the outline that counts, in variances: what is farther off is no worse.
+/// Upper bound of the mean square error of the outline, in variances: larger errors count as this one.
 const MOST_OUTLINE: f64 = 5.0; // [algorithmic]
-/// Upper bound of the visible length that counts, in radii.
+/// Upper bound of the visible length, in radii: longer objects count as this long.
 const MOST_LENGTH: f64 = 3.0; // [algorithmic]
-/// Upper bound of the mean square misfit that counts, in variances: where there is next to no noise, all else is many of them.
+/// Upper bound of the mean square misfit, in variances: where there is almost no noise, any misfit is many variances.
 const MOST_MISFIT: f64 = 2.0; // [algorithmic]
 /// Added to standard deviations in radii, so that their logarithms stay finite.
 const LEAST_SIGMA: f64 = 0.003; // [algorithmic]
-/// A surface goes on as long as it stays so near that of the object, in radii. Of the candidates of `cargo bench --bench odds`, with 0.1,
-/// 0.2, 0.3 and 0.4 and a weight fitted to each, 108, 90, 79 and 74 wrong ones in rooms that are lived in are taken for objects, and
-/// of those that simulated stereo shows elsewhere 119, 117, 115 and 112 right ones (counted by a script that is not kept).
+/// A surface beyond an end counts as the same surface while its arcs are within this mean distance of the object's surface, in
+/// radii. With 0.1, 0.2, 0.3 and 0.4, and a weight fitted to each, 108, 90, 79 and 74 wrong candidates of `cargo bench --bench
+/// odds` in furnished rooms are reported as objects, and of the right candidates that simulated stereo cameras see elsewhere 119,
+/// 117, 115 and 112 (counted by a script that is not kept).
 const NEAR: f64 = 0.2; // [tuned]
-/// Farthest way that a surface is followed beyond an end, in radii.
+/// Largest distance over which a surface is followed beyond an end, in radii.
 const MOST_BEYOND: f64 = 1.0; // [algorithmic]
 
-/// What speaks for a candidate and against it.
+/// Evidence for and against a candidate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Evidence {
-    /// Share of the ends of its arcs at which it stands free: before something farther, or before what is not measured.
+    /// Share of the ends of its arcs at which it stands free: before something farther, or before pixels without a measurement.
     pub free_ends: f64,
-    /// Standard deviation of its radius, as a part of it.
+    /// Standard deviation of its radius, relative to the radius.
     pub radius_sigma: f64,
-    /// Standard deviation of a point, in radii: the noisier it is, the less would show that it is of no such shape.
+    /// Standard deviation of a point, in radii. The noisier it is, the less a wrong shape would show.
     pub noise_radii: f64,
-    /// Mean square distance of its points from the surface, without the noise, in variances of a point.
+    /// Mean square distance of its points from the surface, less that of the noise, in variances of a point.
     pub misfit: f64,
-    /// Mean square distance of its outline from where the shape has one, in variances of an outline's point.
+    /// Mean square distance of its outline from that of the shape, in variances of an outline's point.
     pub outline_square: f64,
-    /// Share of its outline that is far from where the shape has one.
+    /// Share of its outline that is far from that of the shape.
     pub outline_far_off: f64,
     /// Visible length in radii; of a sphere 0.
     pub length_radii: f64,
-    /// Share of its two ends across the scan lines beyond which some surface goes on.
+    /// Share of its two ends across the scan lines beyond which any surface continues.
     pub continued: f64,
-    /// How far beyond these ends a surface goes on that leaves its own only slowly, in radii: at the end at which it does so the
-    /// less, and at the other one.
+    /// How far beyond these ends a surface continues that departs from its own only slowly, in radii: the smaller of both, then
+    /// the larger.
     pub beyond_radii: [f64; 2],
-    /// How much more probable it is that it is round than that it is any quadric near it, as a logarithm (see `round.rs`).
+    /// Logarithm of the probability of its being round over that of its being some quadric near the shape (see `round.rs`).
     pub roundness: f64,
-    /// Whether it is a sphere, which has fewer parameters to bend to anything.
+    /// Whether it is a sphere, which has fewer parameters to fit to anything.
     pub is_sphere: bool,
 }
 
-/// Number of terms of the sum, the constant included.
+/// Number of terms of the sum, with the constant.
 pub const TERMS: usize = 14; // [derived]
 
-/// Weights of the terms, in their order, which `cargo bench --bench odds` fits and prints. What they weigh are candidates that the
-/// detector found with nearly the same weights. The last is 1, because what it weighs is the logarithm of odds (fitted 0.90).
+/// Weights of the terms in their order, which `cargo bench --bench odds` fits and prints. The candidates of that fit come from a
+/// detector with nearly the same weights. The last weight is 1, because its term is itself a logarithm of odds (fitted 0.90).
 #[expect(clippy::approx_constant, reason = "a weight that is near pi by chance")]
 pub const WEIGHTS: [f64; TERMS] = [
     -8.68, 1.23, -0.96, -1.82, -3.14, -2.09, -3.26, 1.44, 4.69, -0.84, -1.10, -3.65, -2.20, // [fitted]
@@ -67,7 +68,7 @@ pub const WEIGHTS: [f64; TERMS] = [
 ];
 
 impl Evidence {
-    /// That of a candidate of which `object` is the report; growth bridges so many lines.
+    /// Collects the evidence of a candidate with the report `object`; `gap` is the number of lines that growth bridges.
     pub(crate) fn of(candidate: &Candidate, object: &Object, gap: i64) -> Self {
         let Candidate { region, measured, outline, roundness } = candidate;
         let adjoining = [-1, 1].into_iter().filter_map(|side| region.beyond(side, gap).next()).count();
@@ -87,8 +88,8 @@ impl Evidence {
         }
     }
 
-    /// The terms of the sum: a constant and what the evidence makes of each of its parts. That something is a sphere as far as can
-    /// be told speaks for nothing, because heads and fruit are, too.
+    /// Returns the terms of the sum, the constant first. For a sphere a positive roundness counts as 0: heads and fruit are as
+    /// round as can be measured, too.
     pub fn terms(&self) -> [f64; TERMS] {
         [
             1.0,
@@ -108,16 +109,16 @@ impl Evidence {
         ]
     }
 
-    /// The probability that the candidate is an object of its shape.
+    /// Returns the probability that the candidate is an object of its shape.
     pub fn probability(&self) -> f64 {
         let log_odds: f64 = self.terms().iter().zip(WEIGHTS).map(|(term, weight)| term * weight).sum();
         1.0 / (1.0 + (-log_odds).exp())
     }
 }
 
-/// How far beyond an end of a region a surface goes on that stays near its own and yet surely leaves it, in radii. What ends there
-/// does not go on, nor does what turns off at once. Where lines share their noise, the camera compared a window for each pixel, and
-/// half of that window mixes in what adjoins: those lines do not count.
+/// Returns how far beyond an end of a region a surface continues that stays near that of the region, up to the last line that
+/// surely departs from it, in radii. The result is 0 where the surface ends or turns off at once. Where lines share their noise,
+/// the camera compared a window for each pixel, and half of that window mixes in adjoining surfaces: these lines are subtracted.
 fn goes_on(region: &Region, side: i64, gap: i64, radius: f64) -> f64 {
     let (q, end) = (region.model.coefficients(), region.ends()[usize::from(side > 0)]);
     let lines_to = |arc: &Arc| f64::from(arc.line.abs_diff(end.line));
@@ -139,11 +140,11 @@ mod tests {
     use conicflow_lab::rendered::{KINECT_HALF, cylinder, frustum};
     use conicflow_lab::simulator::shapes::Shape;
 
-    /// Height of the can in `beyond`, and its radius.
+    /// Height and radius of the can in `beyond`, in metres.
     const HEIGHT: f64 = 0.24;
     const RADIUS: f64 = 0.2;
 
-    /// What is seen of some object.
+    /// Evidence of some object.
     const EVIDENCE: Evidence = Evidence {
         free_ends: 0.9,
         radius_sigma: 0.01,
@@ -158,7 +159,8 @@ mod tests {
         is_sphere: false,
     };
 
-    /// How far a surface goes on above a can and below it, two metres away, by its rows more than so many metres from its rim.
+    /// Returns how far a surface continues above and below a can at a distance of two metres. The region ends `inset` metres
+    /// before the can's rims.
     fn beyond(bodies: &[Shape], shared_lines: f64, inset: f64) -> [f64; 2] {
         let can = cylinder(Vector3::new(0.0, 0.0, 2.0), Vector3::y(), RADIUS, HEIGHT);
         let mut arcs: Arcs = arcs_of(&[&[can], bodies].concat());
@@ -169,7 +171,7 @@ mod tests {
         [-1, 1].map(|side| goes_on(&Region { arcs: &arcs, model, members: &members }, side, 4, RADIUS))
     }
 
-    /// What tapers to the side of y above (-1) the can or below (1), from its rim on, by so much per metre.
+    /// A frustum that adjoins the can above (-1) or below (1), starts with its radius and narrows by `slope` metres per metre.
     fn tapering(side: f64, slope: f64, height: f64) -> Shape {
         let center = Vector3::new(0.0, side * 0.5 * (HEIGHT + height), 2.0);
         frustum(center, Vector3::y() * side, RADIUS - 0.5 * slope * height, -slope, height)
@@ -177,7 +179,8 @@ mod tests {
 
     #[test]
     fn what_ends_or_turns_off_does_not_go_on_and_what_leaves_slowly_does_up_to_a_fifth_of_the_radius() {
-        // From the last member on, 0.05 radii before the rim; a quadric takes 0.225 radii inwards for 0.2.
+        // Distances count from the last member of the region, 0.05 radii before the rim. The quadric is -0.2 radii where a
+        // surface lies 0.225 radii inside.
         let near = |found: f64, height: f64| assert!((found - height - 0.05).abs() < 0.03, "{found} for {height}");
         assert_eq!(beyond(&[], 1.0, 0.01), [0.0, 0.0]);
         assert_eq!(beyond(&[], 1.0, 0.06), [0.0, 0.0], "its own lines, which growth may leave out");

@@ -39,27 +39,28 @@ pub struct AxialLimits {
     pub max_length_m: f64,
 }
 
-/// More than any camera sees.
+/// Returns a length beyond the range of any camera, in metres.
 fn unlimited_m() -> f64 {
     100.0
 }
 
-/// What an object has to be for it to be reported.
+/// Requirements on an object for it to be reported.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct PooledParameters {
-    /// Fewest scan lines of an object; of those that the extractor looks at, as wherever lines are counted.
+    /// Fewest scan lines of an object; lines are counted among those that the extractor searches, here and below.
     #[cfg_attr(feature = "schema", schemars(range(min = 7, max = 1000)))]
     pub min_lines: u32,
-    /// Smallest visual angle of an object across its scan lines, in degrees: a finer image shows more of what is too small
-    /// to tell.
+    /// Smallest visual angle of an object across its scan lines, in degrees: a finer image shows more of what is too small to
+    /// recognise.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 45.0)))]
     pub min_view_deg: f64,
-    /// Scan lines without a part of the object that are bridged in any case; while the first few are put together, one less.
+    /// Number of scan lines without a part of the object that are always bridged; one less while the first lines are put
+    /// together.
     #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 64)))]
     pub max_gap_lines: u32,
-    /// Smallest part of the scan lines from first to last that support the object.
+    /// Smallest share of the scan lines from first to last that support the object.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1.0)))]
     pub min_coverage: f64,
     /// Smallest visible part of the circumference, in degrees.
@@ -71,17 +72,17 @@ pub struct PooledParameters {
     /// Least height of the visible part of a sphere, in radii.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 2.0)))]
     pub min_cap_radii: f64,
-    /// Half-angle from which on something may be a cone and not a cylinder, in degrees.
+    /// Smallest half-angle of a cone, in degrees; a smaller one does not distinguish it from a cylinder.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 45.0)))]
     pub min_half_angle_deg: f64,
-    /// Time for the ellipses of one image, in milliseconds of the clock, after which nothing further is looked for; 0: no
-    /// limit. Default: 30 where the stage takes the newest message (`latest`), so that it keeps up with 30 images a second; no
-    /// limit where it takes each (`lossless`), nor in the library. What is most curved comes first, but later where something grew
-    /// in vain from the same surface. With a limit the same image may give other objects on a busy machine.
+    /// Time for the ellipses of one image, in milliseconds of the clock, after which the search for objects ends; 0: no limit.
+    /// Default: 30 where the stage takes the newest message (`latest`), so that it keeps up with 30 images a second; no limit
+    /// where it takes each (`lossless`), nor in the library. Strongly curved ellipses come first, but later where growth from the
+    /// same surface failed before. With a limit the same image may give other objects on a busy machine.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 10_000.0)))]
     pub budget_ms: Option<f64>,
-    /// For how many images counts what an object shows of where this sensor puts contours, from when it was seen in its place last
-    /// on; 0: each image is looked at as if it were the first.
+    /// Number of images for which an object's evidence on the errors of silhouettes counts after it was last seen in its place;
+    /// 0: each image is processed as if it were the first.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1e6)))]
     pub contour_memory: f64,
 }
@@ -117,10 +118,10 @@ pub struct AssemblerParameters {
     pub cylinder: AxialLimits,
     /// Limits on the radius, in the middle of its visible part, and the visible length of a cone.
     pub cone: AxialLimits,
-    /// Least `confidence` of an object, the probability that it is one: what is less probable is not reported.
+    /// Least `confidence`, the probability that a candidate is an object; less probable ones are not reported.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1.0)))]
     pub min_confidence: f64,
-    /// What an object has to be for it to be reported.
+    /// Requirements on an object for it to be reported.
     pub pooled: PooledParameters,
 }
 
@@ -130,8 +131,8 @@ impl Default for AssemblerParameters {
         let axial = AxialLimits { min_m, max_m, min_length_m: 0.0, max_length_m: unlimited_m() };
         Self {
             max_half_angle_deg: 30.0,
-            // [measured] Rooms show more that is no object than the scenes in which the odds were fitted: of the answers of
-            // a confidence from 0.5 to 0.55 in recordings three are wrong, and none is right.
+            // [measured] Rooms contain more that is no object than the scenes to which the odds were fitted: of the reported
+            // candidates with a confidence from 0.5 to 0.55 in recordings three are wrong, and none is right.
             min_confidence: 0.55,
             sphere: RadiusLimits { min_m, max_m },
             cylinder: axial,
@@ -142,7 +143,7 @@ impl Default for AssemblerParameters {
 }
 
 impl AssemblerParameters {
-    /// What is wrong with them although each is in its range.
+    /// Returns the contradictions between parameters that are each in range.
     pub fn faults(&self) -> Vec<ConfigFault> {
         let axial = [("cylinder", &self.cylinder), ("cone", &self.cone)];
         let mut faults: Vec<_> = fault("sphere", "m", self.sphere.min_m, self.sphere.max_m).into_iter().collect();
@@ -153,7 +154,7 @@ impl AssemblerParameters {
         faults
     }
 
-    /// What is wrong with the half-angle `min_half_angle_deg` of the table `key`, from which on something may be a cone.
+    /// Returns the fault of a half-angle `min_half_angle_deg` in the table `key` that is larger than the largest one of a cone.
     pub fn fault_of_half_angle(&self, key: &'static str, least: f64) -> Option<ConfigFault> {
         let most = self.max_half_angle_deg;
         (least > most).then(|| ConfigFault {
@@ -163,12 +164,12 @@ impl AssemblerParameters {
         })
     }
 
-    /// Scan lines without a part of the object that are bridged in any case.
+    /// Returns the number of scan lines without a part of the object that are always bridged.
     pub(crate) fn max_gap(&self) -> i64 {
         i64::from(self.pooled.max_gap_lines)
     }
 
-    /// The radii that an object of a shape may have, in metres.
+    /// Returns the range of radii of a shape, in metres.
     pub fn radii_m(&self, shape: ObjectKind) -> RangeInclusive<f64> {
         match shape {
             ObjectKind::Sphere => self.sphere.min_m..=self.sphere.max_m,
@@ -177,7 +178,7 @@ impl AssemblerParameters {
         }
     }
 
-    /// The visible lengths that an object of a shape may have, in metres; of a sphere any.
+    /// Returns the range of visible lengths of a shape, in metres; unlimited for a sphere.
     pub fn lengths_m(&self, shape: ObjectKind) -> RangeInclusive<f64> {
         match shape {
             ObjectKind::Sphere => f64::NEG_INFINITY..=f64::INFINITY,
@@ -186,14 +187,14 @@ impl AssemblerParameters {
         }
     }
 
-    /// When an image is given up that is begun now; `None`: never.
+    /// Returns when the processing of an image that begins now is given up; `None`: never.
     pub(crate) fn deadline(&self) -> Option<Instant> {
         let budget = Duration::try_from_secs_f64(self.pooled.budget_ms? / 1e3).unwrap_or_default();
         (!budget.is_zero()).then(|| Instant::now() + budget)
     }
 }
 
-/// What is wrong with the limits `min_UNIT` and `max_UNIT` of a shape.
+/// Returns the fault of limits `min_UNIT` and `max_UNIT` of a shape where the least exceeds the largest.
 fn fault(key: &'static str, unit: &str, min: f64, max: f64) -> Option<ConfigFault> {
     (min > max).then(|| ConfigFault {
         key,

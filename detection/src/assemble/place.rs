@@ -1,18 +1,20 @@
-//! Whether two objects would be in one place.
+//! Whether two objects are in the same place.
 //!
-//! A part of a thing, such as the lug of a pot or the curve between its rim and its side, may have a shape of its own that explains
-//! it. Where that would lie in what is known to be an object, or about it, it is none; but what is seen inside of it is another thing.
+//! A part of an object, such as the lug of a pot or the curve between its rim and its side, may have a shape of its own that
+//! explains it. A candidate that lies in a known object, or around it, is such a part; but one that is seen inside of it is
+//! another object.
 
 use conicflow_geometry::Vector3;
 use conicflow_messages::{Object, ObjectKind};
 use nalgebra::Matrix3;
 
-/// Standard deviations by which the middle of one lies in the other. Things that stand on each other touch, and a ball that is cut off
-/// by a can has its middle where the can ends.
+/// Standard deviations by which the middle of one object has to lie inside the other. Objects that stand on each other touch, and
+/// a ball that a can cuts off has its middle where the can ends.
 const INSIDE_SIGMAS: f64 = 3.0; // [sigmas]
 
-/// Whether the middle of one of two objects surely lies in the other, and the candidate is not seen inside of what is known: a fruit
-/// in a bowl shows that the bowl is hollow. The other way round, the candidate is explained by what is in it.
+/// Returns whether the middle of one of two objects surely lies in the other, unless the candidate is seen inside of the known
+/// object: a fruit in a bowl shows that the bowl is hollow. If the known object lies inside the candidate, it explains the
+/// candidate.
 pub(crate) fn overlap(known: &Object, candidate: &Object) -> bool {
     let middle = |object: &Object| Vector3::from(object.center);
     let is_in_it = holds(known, candidate, middle(candidate));
@@ -20,14 +22,15 @@ pub(crate) fn overlap(known: &Object, candidate: &Object) -> bool {
     (is_in_it || holds(candidate, known, middle(known))) && !is_content
 }
 
-/// The point of an object's surface, at its middle, that is nearest to the camera.
+/// Returns the point of an object's surface, at its middle, that is nearest to the camera.
 fn front(object: &Object) -> Vector3 {
     let (middle, axis) = (Vector3::from(object.center), Vector3::from(object.axis));
     let across = middle - axis * middle.dot(&axis);
     middle - across.try_normalize(0.0).unwrap_or_default() * object.radius
 }
 
-/// Whether this point of `inner` surely lies in `outer`: each surface of that is so many standard deviations away from it.
+/// Returns whether this point of `inner` surely lies in `outer`: at least [`INSIDE_SIGMAS`] standard deviations away from each
+/// surface of `outer`.
 fn holds(outer: &Object, inner: &Object, point: Vector3) -> bool {
     let covariance = [outer, inner].map(|object| Matrix3::from(object.sigma.center)).iter().sum::<Matrix3<f64>>();
     let away = point - Vector3::from(outer.center);
@@ -54,7 +57,8 @@ mod tests {
     use super::*;
     use conicflow_messages::ObjectSigma;
 
-    /// One of this shape and radius with its middle there, known to a millimetre; what has an axis is 0.2 m long, along y.
+    /// An object of this shape and radius with its middle at `center`, known to a millimetre. A cylinder or cone is 0.2 m long,
+    /// along y.
     fn thing(kind: ObjectKind, radius: f64, center: [f64; 3]) -> Object {
         let covariance = Matrix3::from_diagonal_element(1e-6).into();
         let sigma = ObjectSigma { center: covariance, radius: 1e-3, length: 2e-3, ..ObjectSigma::default() };
@@ -64,7 +68,7 @@ mod tests {
 
     #[test]
     fn one_thing_is_in_another_if_its_middle_is_deeper_in_it_than_noise_explains() {
-        // The deviation of three of a millimetre each together is 1.7 mm, three times that 5.2 mm.
+        // Three standard deviations of a millimetre each add up to 1.7 mm; three times that is 5.2 mm.
         let ball = |z: f64| thing(ObjectKind::Sphere, 0.05, [0.0, 0.0, z]);
         let can = |center: [f64; 3]| thing(ObjectKind::Cylinder, 0.1, center);
         for (one, other, overlaps) in [
@@ -87,7 +91,7 @@ mod tests {
     fn what_is_surely_seen_inside_of_another_thing_is_none_of_its_parts() {
         for outer in [ObjectKind::Sphere, ObjectKind::Cylinder].map(|kind| thing(kind, 0.1, [0.0, 0.0, 1.0])) {
             for inner in [ObjectKind::Sphere, ObjectKind::Cylinder] {
-                // Its front is 4 mm, or 6 mm, behind that of the other one.
+                // Its front is 4 mm, or 6 mm, behind that of the other object.
                 for (radius, overlaps) in [(0.096, true), (0.094, false)] {
                     let inner = Object { length: 0.02, ..thing(inner, radius, [0.0, 0.0, 1.0]) };
                     assert_eq!([overlap(&outer, &inner), overlap(&inner, &outer)], [overlaps, true], "{inner:?}");

@@ -19,36 +19,36 @@ pub(crate) struct Region<'a> {
 }
 
 impl<'a> Region<'a> {
-    /// Its arcs.
+    /// Returns its arcs.
     pub fn arcs(&self) -> impl Iterator<Item = &'a Arc> + Clone + use<'a> {
         self.arcs.of(self.members)
     }
 
-    /// Number of points that share no noise.
+    /// Returns the number of independent points along its lines.
     pub fn points(&self) -> f64 {
         self.arcs().map(|arc| arc.points).sum()
     }
 
-    /// Mean variance of a point, in square metres.
+    /// Returns the mean variance of a point, in square metres.
     pub fn variance(&self) -> f64 {
         self.arcs().map(|arc| arc.variance * arc.points).sum::<f64>() / self.points()
     }
 
-    /// How many neighbouring lines share their noise, at least 1.
+    /// Returns the number of neighbouring lines that share their noise, at least 1.
     pub fn shared_lines(&self) -> f64 {
         self.arcs.shared_lines(self.members)
     }
 
-    /// How many share that of their contour, at least 1.
+    /// Returns the number of neighbouring lines that share the noise of their contour, at least 1.
     pub fn contour_lines(&self) -> f64 {
         self.arcs.contour_lines(self.members)
     }
 
-    /// How the gradient of a fit to it scatters by the noise of its points, from some of them.
+    /// Returns the scatter of the gradient of a fit due to the noise of its points, from a sample of them.
     pub fn gradient_noise<S: Surface<N>, const N: usize>(&self, fit: &SurfaceFit<S, N>) -> GradientNoise<N> {
         let q = self.model.coefficients();
         let stride = self.members.len().div_ceil(ARCS);
-        // Each arc of these stands for so many.
+        // Each sampled arc represents this many arcs.
         let times = self.members.len() as f64 / self.members.len().div_ceil(stride) as f64;
         let mut noise = GradientNoise::new(&fit.surface);
         for arc in self.arcs().step_by(stride) {
@@ -67,12 +67,12 @@ impl<'a> Region<'a> {
         noise
     }
 
-    /// The arcs of the first and the last line.
+    /// Returns the arcs of the first and the last line.
     pub fn ends(&self) -> [&'a Arc; 2] {
         [self.members[0], self.members[self.members.len() - 1]].map(|index| &self.arcs.arcs[index])
     }
 
-    /// The arcs beyond its first line (`side` -1) or its last (1), one line after another: none is a member, and each touches the
+    /// Returns the arcs beyond its first line (`side` -1) or its last (1), line by line: none is a member, and each touches the
     /// one before it, over at most `gap` lines.
     pub fn beyond(&self, side: i64, gap: i64) -> impl Iterator<Item = &'a Arc> + use<'a> {
         let Self { arcs, members, .. } = *self;
@@ -82,13 +82,13 @@ impl<'a> Region<'a> {
         chain.skip(1).map(|index| &arcs.arcs[index])
     }
 
-    /// Place of a point along the axis, counted from the surface's point; 0 for a sphere.
+    /// Returns the position of a point along the axis, from the surface's point; 0 for a sphere.
     pub fn along(&self, point: &Vector3) -> f64 {
         let (origin, axis) = self.model.axis();
         axis.dot(&(point - origin))
     }
 
-    /// From where to where the means of its arcs lie along the axis.
+    /// Returns the interval along the axis in which the means of its arcs lie.
     pub fn span_of_means(&self) -> [f64; 2] {
         self.arcs()
             .map(|arc| self.along(&arc.mean))

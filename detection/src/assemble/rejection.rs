@@ -1,7 +1,7 @@
-//! Why candidates are no objects.
+//! Reasons for which candidates are rejected.
 
 crate::rejections! {
-    /// Why a candidate is turned down.
+    /// The reason for which a candidate is rejected.
     Rejection, Rejections:
     FewRows => "candidates of too few rows",
     Gaps => "candidates with too many gaps",

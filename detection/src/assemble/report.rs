@@ -1,4 +1,4 @@
-//! The report on a verified model, with the uncertainty that the noise of the sensor gives it.
+//! The report on a verified model, with the standard deviations that follow from the noise of the sensor.
 
 use super::arcs::Arc;
 use super::contours::{FLATTENED_PX, SYSTEMATIC, SYSTEMATIC_PX};
@@ -10,25 +10,26 @@ use conicflow_messages::{Object, ObjectKind, ObjectSigma};
 use nalgebra::{Matrix3, SMatrix};
 use std::f64::consts::SQRT_2;
 
-/// Lower bound of the cosine between an axis and the normal of the scan planes: it keeps the spacing along the axis finite.
+/// Lower bound of the cosine between an axis and the normal of the scan planes, which keeps the spacing along the axis finite.
 const MOST_OBLIQUE: f64 = 0.2; // [algorithmic]
-/// Standard deviation of the end of an object, in scan lines: noise and rims take some lines. With this one, lengths in simulated
-/// frames scatter by so much of their standard deviation (half of the 16th to the 84th percentile, by a script that is not kept):
-/// of cylinders 0.7 (Kinect at 320x240), 1.1 (D435 there) and 1.1 (Kinect at 640x480), of cones 1.4, 1.9 and 1.1. Their narrow end
-/// is lost where its radius is below about six pixels.
+/// Standard deviation of the end of an object, in scan lines: noise and rims cost some lines. With this value the errors of
+/// lengths in simulated frames, in units of their reported sigma, scatter by (half of the 16th to the 84th percentile, by a
+/// script that is not kept): cylinders 0.7 (Kinect at 320x240), 1.1 (D435 there) and 1.1 (Kinect at 640x480), cones 1.4, 1.9 and
+/// 1.1. The narrow end of a cone is lost where its radius is below about six pixels.
 const END_LINES: f64 = 1.5; // [measured]
 
-/// Distance along an axis, in metres, between neighbouring planes of lines, which are `spacing` apart across.
+/// Returns the distance along an axis, in metres, between neighbouring scan planes, whose perpendicular distance is `spacing`.
 pub(super) fn spacing_along(spacing: f64, plane: &ScanPlane, axis: &Vector3) -> f64 {
     spacing / axis.dot(&plane.normal()).abs().max(MOST_OBLIQUE)
 }
 
-/// Standard deviation of an end along the axis, in metres, where neighbouring scan lines are `spacing` metres apart across.
+/// Returns the standard deviation of an end along the axis, in metres; `spacing` is the perpendicular distance of scan planes in
+/// metres.
 pub fn end_sigma(spacing: f64, plane: &ScanPlane, axis: &Vector3) -> f64 {
     END_LINES * spacing_along(spacing, plane, axis)
 }
 
-/// The object as which a verified region is reported.
+/// Returns the object that reports a verified region.
 pub(super) fn report(region: &Region, measured: &Measured) -> Object {
     let center = verify::middle(region, measured);
     let object = Object {
@@ -75,20 +76,21 @@ pub(super) fn report(region: &Region, measured: &Measured) -> Object {
     with_faults(object, first.pitch)
 }
 
-/// The object with what the faults of sensors add to its standard deviations; `pixel` is the size of one there.
+/// Adds the systematic errors of sensors to the standard deviations of an object; `pixel` is the size of a pixel there, in
+/// metres.
 fn with_faults(mut object: Object, pixel: f64) -> Object {
     let error = (SYSTEMATIC * object.radius).hypot(SYSTEMATIC_PX * pixel);
     add_error(&mut object, error);
     object
 }
 
-/// Adds to the standard deviations of an object what the sensor flattens of it at its silhouettes; `arc` is one of its arcs.
+/// Adds to the standard deviations of an object the flattening of its silhouettes by the sensor; `arc` is one of its arcs.
 pub(super) fn add_flattening(object: &mut Object, arc: &Arc) {
     add_error(object, FLATTENED_PX * (arc.shared_px - 1.0) * arc.pitch);
 }
 
-/// Adds an error of some metres to the standard deviations of an object: of its radius and centre, and of its angles, because
-/// both ends may be off, each by as much.
+/// Adds a systematic error in metres to the standard deviations of the radius, the centre and the angles: both ends may be off,
+/// each by `error`, which turns the axis by `sqrt(2) error / length`.
 fn add_error(object: &mut Object, error: f64) {
     let sigma = &mut object.sigma;
     sigma.radius = sigma.radius.hypot(error);
@@ -104,7 +106,7 @@ fn add_error(object: &mut Object, error: f64) {
 
 fn cone(object: Object, surface: &Conical, half_angle: f64, sigma: ObjectSigma, measured: &Measured) -> Object {
     let [from, to] = measured.extent;
-    // At the apex rounding may make it a little less than nothing.
+    // At the apex rounding may make the radius slightly negative.
     let radius = |along: f64| (surface.radius + surface.slope * along).max(0.0);
     Object {
         kind: ObjectKind::Cone.code(),
@@ -120,7 +122,8 @@ fn cone(object: Object, surface: &Conical, half_angle: f64, sigma: ObjectSigma, 
     }
 }
 
-/// Parameters: two tilts, two shifts across, the radius.
+/// Returns the standard deviations of a cylinder or cone from the covariance of two tilts, two shifts across the axis, and the
+/// radius.
 fn conical_sigma(surface: &Conical, covariance: &SMatrix<f64, 5, 5>, measured: &Measured, end: f64) -> ObjectSigma {
     let middle = 0.5 * (measured.extent[0] + measured.extent[1]);
     let across = surface.across();
@@ -142,7 +145,7 @@ fn conical_sigma(surface: &Conical, covariance: &SMatrix<f64, 5, 5>, measured: &
     }
 }
 
-/// Covariance of a fit's parameters.
+/// Returns the covariance of a fit's parameters.
 fn covariance<S: Surface<N>, const N: usize>(region: &Region, fit: &SurfaceFit<S, N>) -> SMatrix<f64, N, N> {
     region.gradient_noise(fit).covariance(fit, region.shared_lines())
 }
@@ -174,14 +177,14 @@ mod tests {
         Measured { count, points, lines, variance: 4e-6, misfit: 0.25, curvature: 100.0, angle, extent }
     }
 
-    /// A covariance of six parameters that all depend on each other.
+    /// A covariance in which all six parameters are correlated.
     fn correlated() -> SMatrix<f64, 6, 6> {
         let root = SMatrix::<f64, 6, 6>::from_fn(|i, j| 1e-3 * (1.7 * i as f64 + 2.9 * j as f64 + 0.3).sin());
         root * root.transpose()
     }
 
-    /// By the derivatives of the middle `point + z (axis + u a + v b) + u c + v d` by two tilts, a and b, and two shifts, c and
-    /// d.
+    /// Compares with the derivatives of the middle `point + z (axis + u a + v b) + u c + v d` by two tilts, a and b, and two
+    /// shifts, c and d.
     #[test]
     fn the_sigma_of_a_middle_is_that_of_tilts_and_shifts_and_along_the_axis_of_both_ends() {
         let axis = Vector3::new(0.2, 0.9, -0.3).normalize();
@@ -230,7 +233,7 @@ mod tests {
         assert!((told([-0.1, 0.1]).top_radius - 0.05).abs() < 1e-12);
     }
 
-    /// The arcs of a cone that stands two metres away, narrower than half of it, in rows.
+    /// The rows of a cone at a distance of two metres. They cover its middle 0.6 m.
     fn rows_of_a_cone() -> (Arcs, Vec<usize>) {
         let center = Vector3::new(0.0, 0.0, 2.0);
         let arcs = arcs_of(&[frustum(center, Vector3::y(), 0.2, 0.2, 0.7)]);
@@ -244,8 +247,7 @@ mod tests {
         Region { arcs, model, members }
     }
 
-    /// The fit weighs the points as if the noise lay across the surface; along the depth it matters the less, the more the
-    /// surface leans.
+    /// The fit weights points as if their noise acted across the surface; noise along the ray moves a leaning surface less.
     #[test]
     fn the_covariance_is_less_than_that_of_the_fit_by_the_slope_of_the_surface_and_grows_with_lines_that_share_noise() {
         let (mut arcs, members) = rows_of_a_cone();
@@ -261,7 +263,7 @@ mod tests {
         assert!((ratio(&members, 4.0) / many - 4.0).abs() < 1e-9);
     }
 
-    /// Of a cone the radius in the middle and the half-angle, by their derivatives.
+    /// Compares the radius in the middle and the half-angle of a cone with their derivatives.
     #[test]
     fn the_sigmas_of_a_cone_are_those_in_its_middle() {
         let (arcs, members) = rows_of_a_cone();
@@ -288,7 +290,7 @@ mod tests {
         assert!((told.length - 0.6).abs() < 1e-12 && told.shape() == ObjectKind::Cylinder);
     }
 
-    /// An arc of 20 points, one metre away, that share their noise among so many.
+    /// An arc of 20 points at a distance of one metre, of which `shared_px` share their noise.
     fn arc(shared_px: f64) -> Arc {
         let camera = Camera { width: 640, height: 480, fx: 500.0, fy: 500.0, cx: 319.5, cy: 239.5 };
         let mut ellipse = Ellipse {
@@ -316,19 +318,19 @@ mod tests {
             object.sigma
         };
         assert_eq!(told(1.0), sigma, "each pixel has noise of its own");
-        // 11 pixels: 0.6 pixels of 2 mm.
+        // 10 further pixels of 2 mm share the noise, 0.06 of each counts: 1.2 mm.
         let flattened = told(11.0);
         assert!((flattened.radius - 0.0012_f64.hypot(0.0003)).abs() < 1e-6, "{flattened:?}");
         assert!((flattened.center[1][1].sqrt() - 0.0012).abs() < 1e-6 && flattened.center[0][1] == 0.0);
         assert!((flattened.axis - 0.01_f64.hypot(0.01697)).abs() < 1e-4, "{flattened:?}");
     }
 
-    /// Along its rays a ball has the same noise and the same slopes wherever it is. By symmetry it is not larger if it is farther to
-    /// one side.
+    /// Along its rays a ball has the same noise and the same slopes wherever it is. By symmetry its radius does not depend on how
+    /// far it lies to one side.
     #[test]
     fn noise_tells_as_much_of_a_ball_below_the_view_as_of_one_straight_ahead() {
         let radius = |below: f64| {
-            // A camera whose image begins far below its optical axis.
+            // The image of this camera begins far below its optical axis.
             let camera = Camera { cy: KINECT_HALF.cy - below * KINECT_HALF.fy, ..KINECT_HALF };
             let center = Vector3::new(0.0, below, 1.0).normalize() * 1.5;
             let mut arcs = arcs_by(camera, NoiseModel::KINECT_V1, &[sphere(center, 0.2)]);

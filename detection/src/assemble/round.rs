@@ -1,4 +1,4 @@
-//! Whether what is seen is round, or oval: how other quadrics near a fitted shape explain its points and its contour.
+//! Estimates whether an object is round or oval: how other quadrics near a fitted shape explain its points and its contour.
 
 use super::contours::edge_px;
 use super::model::{Model, pool_within};
@@ -6,14 +6,14 @@ use super::region::Region;
 use conicflow_geometry::{Conical, Contour, QuadricMoments, Sphere, departure};
 use nalgebra::{SMatrix, SVector};
 
-/// Standard deviation of the departure (see [`conicflow_geometry::Sphere::departures`]) of what is round: things are not exactly
-/// so, nor do sensors show them so. The ball of the recordings departs by 0.05 to 0.15.
+/// Standard deviation of the departure (see [`conicflow_geometry::Sphere::departures`]) of round objects: neither objects nor
+/// sensors are exact. The ball of the recordings departs by 0.05 to 0.15.
 const ROUND: f64 = 0.05; // [tuned]
-/// The same of what is not round.
+/// Standard deviation of the departure of objects that are not round.
 const OVAL: f64 = 0.15; // [tuned]
 
-/// How much more probable points and contour of a fitted region are if it is round than if it is any quadric near it, as a
-/// logarithm (Bayes factor; Kass and Raftery, "Bayes factors", 1995); 0 where they cannot tell.
+/// Returns the logarithm of the Bayes factor of a round surface over any quadric near it, from the points and the contour of a
+/// fitted region (Kass and Raftery, "Bayes factors", 1995); 0 where they do not determine it.
 pub(super) fn roundness(region: &Region, contour: &Contour) -> f64 {
     let shared = region.shared_lines();
     let log_ratio = |points: QuadricMoments| match &region.model {
@@ -24,8 +24,8 @@ pub(super) fn roundness(region: &Region, contour: &Contour) -> f64 {
     pool_within(region, edge_px(contour)).normalized().and_then(log_ratio).unwrap_or(0.0)
 }
 
-/// Logarithm of the ratio of the probability densities that a departure has among what is round and among what is not. Its
-/// covariance counts each of the lines that share their noise.
+/// Returns the logarithm of the ratio of the probability densities of a departure among round objects and among others. The
+/// covariance is multiplied by the number of lines that share their noise.
 fn log_ratio<const K: usize>(
     (departure, covariance): (SVector<f64, K>, SMatrix<f64, K, K>),
     shared_lines: f64,
@@ -50,7 +50,7 @@ mod tests {
     use conicflow_messages::ObjectKind;
     use nalgebra::Matrix3;
 
-    /// What is so far away, with half of its width, depth and height: an ellipsoid, or a cylinder of oval section.
+    /// An ellipsoid, or a cylinder with an oval section, at this distance; `half` has half its width, depth and height.
     fn lump(distance: f64, half: [f64; 3], squareness: u32) -> Shape {
         let axes = Matrix3::from_columns(&[Vector3::x(), Vector3::z(), Vector3::y()]);
         let (center, half) = (Vector3::new(0.0, 0.0, distance), Vector3::from(half));
@@ -61,7 +61,7 @@ mod tests {
         lump(distance, [half_width, half_depth, 0.3], 4)
     }
 
-    /// How much more probable it is that this is round than that it is not, told by the rows of its middle.
+    /// The roundness of a body, from the rows of its middle.
     fn of(kind: ObjectKind, body: Shape, shared_lines: f64) -> f64 {
         let (mut arcs, center) = (arcs_of(&[body, wall(6.0)]), body.anchor());
         arcs.arcs.iter_mut().for_each(|arc| arc.shared_lines = shared_lines);

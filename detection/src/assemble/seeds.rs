@@ -1,6 +1,6 @@
-//! Seeds: the arcs of an image that nothing explains yet. First come those that are most surely curved, and seeds spread over the
-//! image: the oftener something grew in vain on a surface, the later its other arcs come. A person who stands beside a ball has
-//! more arcs than it, and more curved ones.
+//! Seeds: the arcs of an image from which growth starts, until an object explains them. The most surely curved arcs come first,
+//! and seeds spread over the image: the more often growth failed on a surface, the later its other arcs come. A person beside a
+//! ball has more arcs than the ball, and more strongly curved ones.
 
 use super::arcs::{Arc, Arcs};
 use super::rejection::{Rejection, Rejections};
@@ -10,42 +10,43 @@ use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 use std::time::Instant;
 
-/// Most seeds from which something grows in vain in one image. It bounds the time, and what is found later is seldom right: with 8, 10
-/// and 14 of them, recordings that are turned and mirrored in five ways show 486, 489 and 491 of 520 things, and 37, 38 and 40 wrong
-/// answers; rooms that are lived in, seen by a Kinect, 106, 106 and 108 of 114, with 8, 10 and 13 wrong ones.
+/// Largest number of seeds in an image from which growth may fail. It bounds the time, and later finds are seldom right: with 8,
+/// 10 and 14, recordings that are turned and mirrored in five ways show 486, 489 and 491 of 520 objects, and 37, 38 and 40 wrong
+/// ones; furnished rooms, seen by a Kinect, 106, 106 and 108 of 114, with 8, 10 and 13 wrong ones.
 pub(super) const MAX_VAIN: usize = 10; // [measured]
-/// Arcs up to so many radii beyond the visible ends of an object are tested for belonging to it; those farther off hardly ever do.
+/// Distance beyond the visible ends of an object within which arcs are tested for belonging to it, in radii; arcs farther off
+/// hardly ever belong to it.
 const SPARE_REACH: f64 = 1.5; // [algorithmic]
-/// Such an arc belongs to the object if its mean square residual is less than so many variances.
+/// Limit on the mean square residual of such an arc of the object, in variances of a point.
 const SPARE_SQUARE: f64 = 4.0; // [sigmas]
 
 /// The order in which arcs are tried; its buffers are used again for the next image.
 #[derive(Debug, Default)]
 pub(crate) struct Seeds {
-    /// The arcs that were not looked at yet: how good a seed each was when it was put here, and its index. Of two alike that of
-    /// the lower index comes first.
+    /// The arcs that were not tried yet: the worth of each as a seed when it was put here, and its index. Of two equal ones that
+    /// with the lower index comes first.
     order: BinaryHeap<(u64, Reverse<usize>)>,
-    /// How many were tried in vain.
+    /// Number of seeds from which growth failed.
     vain: usize,
-    /// How many of these hang together with each arc.
+    /// Number of these seeds whose surface each arc is connected with.
     vain_beside: Vec<u32>,
-    /// When to stop, if ever.
+    /// Time to stop; `None`: never.
     deadline: Option<Instant>,
     taken: Vec<bool>,
     tried: Vec<bool>,
-    /// The arcs that hang together with a seed that was tried in vain, and which these are: buffers.
+    /// Buffers: the arcs connected with a seed from which growth failed, and a flag for each arc that is among them.
     surface: Vec<usize>,
     reached: Vec<bool>,
 }
 
-/// How good a seed an arc is of whose surface so many were tried in vain: by how many standard deviations it is curved, times the
-/// chance that something grows there, by Laplace's rule of succession. The bits of numbers that are not negative have their order.
+/// Returns the worth of an arc as a seed: by how many standard deviations it is curved, times the chance of growth on a surface
+/// where it failed `vain` times (Laplace's rule of succession). The bits of non-negative numbers have the order of the numbers.
 fn worth(arc: &Arc, vain: u32) -> u64 {
     (arc.bulge.sqrt() / f64::from(2 + vain)).to_bits()
 }
 
 impl Seeds {
-    /// Begins with the arcs of another image.
+    /// Starts with the arcs of another image.
     pub fn order(&mut self, arcs: &Arcs, deadline: Option<Instant>) {
         let arcs = &arcs.arcs;
         (self.vain, self.deadline) = (0, deadline);
@@ -59,7 +60,7 @@ impl Seeds {
         }
     }
 
-    /// The best of the arcs that are neither part of an object nor were tried with another.
+    /// Returns the best arc that is not part of an object and was not tried as part of a chain.
     pub fn next(&mut self, arcs: &Arcs, rejections: &mut Rejections) -> Option<usize> {
         let is_late = self.deadline.is_some_and(|deadline| Instant::now() >= deadline);
         if is_late {
@@ -81,13 +82,13 @@ impl Seeds {
         None
     }
 
-    /// Whether an arc is part of no object yet.
+    /// Returns whether an arc is not part of an object yet.
     pub fn is_free(&self, arc: usize) -> bool {
         !self.taken[arc]
     }
 
-    /// A seed was tried in vain: none of the arcs of its chain is tried again as one, and those that hang together with them over
-    /// gaps of so many lines come the later.
+    /// Records that growth from a seed failed: no arc of its chain is tried as a seed again, and those connected with them, over
+    /// gaps of `gap` lines, come later.
     pub fn give_up(&mut self, arcs: &Arcs, chain: &[usize], gap: i64) {
         self.vain += 1;
         self.pass_over(chain);
@@ -98,14 +99,14 @@ impl Seeds {
         surface.iter().for_each(|&arc| vain_beside[arc] += 1);
     }
 
-    /// None of these arcs is tried as a seed.
+    /// Excludes these arcs as seeds.
     pub fn pass_over(&mut self, arcs: &[usize]) {
         for &arc in arcs {
             self.tried[arc] = true;
         }
     }
 
-    /// Takes the arcs of an object, and all others that its surface explains, from what is left.
+    /// Removes the arcs of an object, and all others that its surface explains.
     pub fn take(&mut self, best: &Candidate, object: &Object) {
         let Candidate { region, measured, .. } = best;
         for &member in region.members {
@@ -135,7 +136,7 @@ mod tests {
     use conicflow_lab::rendered::cylinder;
     use conicflow_messages::ObjectKind;
 
-    /// From the middle of half of its length and one and a half radii.
+    /// The reach from the middle is half of the length plus one and a half radii.
     #[test]
     fn an_object_takes_what_its_surface_explains_as_far_as_it_reaches_and_a_little_beyond() {
         let (radius, low, high) = (0.05, 0.05, 0.15);

@@ -1,4 +1,4 @@
-//! What has to be seen of a grown model for it to be a candidate; whether the candidate is an object is asked in `odds.rs`.
+//! Verifies that enough is seen of a grown model for it to be a candidate; `odds.rs` decides whether the candidate is an object.
 
 use super::arcs::{Arc, Arcs};
 use super::contours::Contours;
@@ -10,53 +10,54 @@ use super::report::spacing_along;
 use super::round::roundness;
 use conicflow_geometry::{Contour, Scan, SpaceMoments, Vector3, section_of};
 
-/// Pixels at each end of an arc that do not count for the extent: they may belong to a lid or to the floor.
+/// Width of the margin at each end of an arc, in pixels, that does not count for the extent: it may belong to a lid or to the
+/// floor.
 const UNSURE_PX: f64 = 2.0; // [tuned]
 /// Largest cosine between the axis and the scan lines: that of 40 degrees.
 const ALONG_LINES: f64 = 0.766; // [tuned]
 /// Largest cosine between the axis and the view: that of 25 degrees.
 const ALONG_VIEW: f64 = 0.906; // [tuned]
-/// The curvature of an object has to exceed that of a plane by so many standard deviations.
+/// Fewest standard deviations by which the curvature of an object has to exceed that of a plane.
 const PLANE_SIGMAS: f64 = 4.0; // [sigmas]
 
-/// Weight of the expectation that the points of an outline are off by one standard deviation, in independent points.
+/// Weight of the prior that the points of an outline are off by one standard deviation, in independent points.
 const EXPECTED_POINTS: f64 = 4.0; // [tuned]
 
-/// What was measured of a grown model, for its report.
+/// Measurements of a grown model, for its report.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Measured {
     /// Number of points.
     pub count: u32,
-    /// Effective number of points, whose noise is independent.
+    /// Number of independent points.
     pub points: f64,
     pub lines: u32,
     /// Mean variance of a point, in square metres.
     pub variance: f64,
-    /// Mean square distance over variance, free of noise.
+    /// Mean square distance of the points, less that of the noise, in variances of a point.
     pub misfit: f64,
-    /// How much worse a plane explains the points, as chi squared of independent points.
+    /// Excess of the residuals from a plane over those from the model, as chi squared of independent points.
     pub curvature: f64,
-    /// Mean visible circumference.
+    /// Mean visible circumference, in radians.
     pub angle: f64,
-    /// From where to where the arcs of the near wall and half a line beyond them reach along the axis, counted from the surface's
-    /// point; of a sphere all arcs across the scan lines, along y of the camera frame for rows and x for columns.
+    /// Extent of the arcs of the near wall, and of half a line beyond them, along the axis from the surface's point, in metres.
+    /// For a sphere it is that of all arcs across the scan lines: along y of the camera frame for rows and x for columns.
     pub extent: [f64; 2],
 }
 
-/// How well the outline that is seen fits.
+/// Fit of the outline that is seen.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Outline {
-    /// Mean square distance of the contour points that fit, in variances of one: its mean under a conjugate prior, so that a few
-    /// points which fit by chance, or share their noise with their neighbours, say little.
+    /// Mean square distance of the contour points that fit, in variances of one. It is the mean under a conjugate prior: a few
+    /// points which fit by chance, or share their noise with their neighbours, change it little.
     pub square: f64,
-    /// Share of the contour points that are far off, and so belong to something else.
+    /// Share of the contour points that are far off, which belong to something else.
     pub far_off: f64,
-    /// Share of the ends of all arcs beyond which something farther is seen, or nothing is measured.
+    /// Share of the ends of all arcs beyond which the camera sees something farther, or measures nothing.
     pub free: f64,
 }
 
 impl Outline {
-    /// That of a region that was fitted together with its contour.
+    /// Returns the outline of a region that was fitted together with its contour.
     fn of(region: &Region, contour: &Contour) -> Self {
         let ends = 2.0 * region.members.len() as f64;
         let is_free = |arc: &Arc, end: usize| arc.unseen[end] || arc.contour[end].is_some();
@@ -70,20 +71,20 @@ impl Outline {
     }
 }
 
-/// A region that was verified.
+/// A verified region.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Candidate<'a> {
     pub region: Region<'a>,
     pub measured: Measured,
     pub outline: Outline,
-    /// How much more probable it is that it is round than that it is any quadric near it, as a logarithm.
+    /// Logarithm of the probability of its being round over that of its being some quadric near the shape.
     pub roundness: f64,
 }
 
-/// What became of the shapes: sphere, cylinder and cone.
+/// Results for sphere, cylinder and cone.
 pub(crate) type Verified<'a> = [Result<Candidate<'a>, Rejection>; 3];
 
-/// Verifies what grew of each shape.
+/// Verifies the grown model of each shape.
 pub(crate) fn verify_all<'a>(
     arcs: &'a Arcs,
     grown: [Result<Model, Rejection>; 3],
@@ -97,7 +98,7 @@ pub(crate) fn verify_all<'a>(
     })
 }
 
-/// A region fitted together with the contour that it shows, if what is seen of it is enough for an object.
+/// Fits a region together with its contour, and checks that enough of it is seen for an object.
 fn verify<'a>(
     mut region: Region<'a>,
     parameters: &AssemblerParameters,
@@ -119,7 +120,7 @@ fn check(region: &Region, parameters: &AssemblerParameters) -> Result<Measured, 
     let radius = region.model.radius_at(&middle(region, &measured));
     let reach = measured.extent[1] - measured.extent[0];
     if reach < 0.0 {
-        // All that is seen of it is the far wall, so that it has no middle either.
+        // Only the far wall is seen, so it has no middle.
         Err(Rejection::Short)
     } else if measured.lines < parameters.pooled.min_lines {
         Err(Rejection::FewRows)
@@ -146,14 +147,14 @@ fn check(region: &Region, parameters: &AssemblerParameters) -> Result<Measured, 
     }
 }
 
-/// Visual angle across the scan lines, in radians.
+/// Returns the visual angle across the scan lines, in radians.
 fn height_in_view(region: &Region) -> f64 {
     let [first, last] = region.ends();
     f64::from(last.line - first.line + 1) * first.spacing / first.mean.z
 }
 
-/// Whether the axis lies so nearly along the scan lines that these hardly show the curvature, or so nearly along the view
-/// that this hardly shows the side.
+/// Returns whether the axis lies so nearly along the scan lines that they hardly show the curvature, or so nearly along the view
+/// that the side is hardly seen.
 fn runs_along(region: &Region, measured: &Measured) -> bool {
     let [arc, _] = region.ends();
     let (along, view) = (arc.plane.s_axis(), middle(region, measured).normalize());
@@ -162,7 +163,7 @@ fn runs_along(region: &Region, measured: &Measured) -> bool {
     })
 }
 
-/// Least extent of what is seen, in radii.
+/// Returns the least visible extent, in radii.
 fn least_reach(region: &Region, parameters: &AssemblerParameters) -> f64 {
     match region.model {
         Model::Sphere(_) => parameters.pooled.min_cap_radii,
@@ -177,7 +178,7 @@ fn is_sharp(region: &Region, parameters: &AssemblerParameters) -> bool {
     }
 }
 
-/// The point of the axis in the middle of what is seen, or the centre.
+/// Returns the point of the axis in the middle of the visible part; the centre of a sphere.
 pub(super) fn middle(region: &Region, measured: &Measured) -> Vector3 {
     let (point, axis) = region.model.axis();
     point + axis * (0.5 * (measured.extent[0] + measured.extent[1]))
@@ -196,7 +197,7 @@ fn measure(region: &Region) -> Measured {
         let section = section_of(&q, &arc.plane);
         let hit = |x: f64| arc.hit(&section, x).map(|z| arc.point(x, z));
         angle += arc.points * span(arc, region, arc.rays.map(hit));
-        // Where lines cross the mouth of a cup, they show its far wall, and its near one is no longer there.
+        // Lines that cross the mouth of a cup show its far wall and no longer the near one.
         if region.model.conical().is_some() && !arc.faces(&q) {
             continue;
         }
@@ -222,7 +223,7 @@ fn measure(region: &Region) -> Measured {
     Measured { count, points, lines, variance, misfit, curvature, angle, extent }
 }
 
-/// Place of the apex of a cone along its axis, beyond which there is nothing of it; other shapes have none.
+/// Returns the position of a cone's apex along its axis, beyond which there is no surface; minus infinity for other shapes.
 fn apex(model: &Model) -> f64 {
     match model {
         Model::Cone(fit) if fit.surface.slope > 0.0 => -fit.surface.radius / fit.surface.slope,
@@ -230,7 +231,8 @@ fn apex(model: &Model) -> f64 {
     }
 }
 
-/// Angle between the ends of an arc as seen from the axis or centre, given where the rays through them meet the surface.
+/// Returns the angle between the ends of an arc about the axis or centre, given the points where the rays through them meet the
+/// surface.
 fn span(arc: &Arc, region: &Region, ends: [Option<Vector3>; 2]) -> f64 {
     let [Some(a), Some(b)] = ends else { return arc.angle };
     let outwards = |point: Vector3| match &region.model {
@@ -244,8 +246,8 @@ fn span(arc: &Arc, region: &Region, ends: [Option<Vector3>; 2]) -> f64 {
     outwards(a).angle(&outwards(b))
 }
 
-/// How much worse than the model a plane explains the points: chi squared of independent points, in units of what the points
-/// really scatter about the model.
+/// Returns by how much worse than the model a plane explains the points: chi squared of independent points, in units of their
+/// actual scatter about the model.
 fn curvature(region: &Region, variance: f64, misfit: f64) -> f64 {
     let mut pool = SpaceMoments::default();
     region.arcs().for_each(|arc| pool.add(arc.space(), 1.0));
@@ -285,7 +287,7 @@ mod tests {
             parameters.pooled.min_coverage = min_coverage;
             check(&Region { members: &every_other, ..region }, &parameters).err()
         };
-        // Of all lines from the first to the last.
+        // The coverage counts all lines from the first to the last.
         let shown = every_other.len() as f64;
         let [fewer, all, more] = [2.0, 1.0, 0.0].map(|less| shown / (2.0 * shown - less));
         assert_eq!([0.5 * (more + all), 0.5 * (all + fewer)].map(&mut has_gaps), [None, Some(Rejection::Gaps)]);
@@ -313,7 +315,7 @@ mod tests {
         Region { arcs, model, members }
     }
 
-    /// What a limit says of this and of a little more.
+    /// The result of a check with a limit slightly below the object, and slightly above.
     fn limited(region: &Region, limit: impl Fn(&mut AssemblerParameters, f64)) -> [Option<Rejection>; 2] {
         [0.97, 1.03].map(|times| {
             let mut parameters = AssemblerParameters::default();
@@ -329,7 +331,7 @@ mod tests {
         let rows = rows_of(&can, |_| true);
         let region = fitted(&can, &rows, ObjectKind::Cylinder);
         let angle = measure(&region).angle;
-        // Twelve lines, so that one more or less would be a twelfth.
+        // Twelve lines: a tolerance of 3 % does not reach one line more or less.
         let band = Region { members: &rows[rows.len() / 2 - 6..][..12], ..region };
         let view = 12.0 / KINECT_HALF.fy;
         let limit =
@@ -361,7 +363,7 @@ mod tests {
         assert_eq!(limited(&region, limit), [None, Some(Rejection::HalfAngle)]);
     }
 
-    /// The seen side of what is so far away lies between the rays that touch it, but for the pixels at its edges.
+    /// At this distance the visible side lies between the rays that touch it, except for the pixels at its edges.
     #[test]
     fn the_visible_angle_is_that_about_the_axis_or_about_the_middle_of_each_line_of_a_ball() {
         let touched = 2.0 * (0.2_f64 / 2.0).acos();
@@ -402,7 +404,7 @@ mod tests {
         let Model::Cone(mut fit) = fitted(&arcs, &rows, ObjectKind::Cone).model else { panic!("no cone") };
         let extent = |fit| measure(&Region { arcs: &arcs, model: Model::Cone(fit), members: &rows }).extent;
         let ([from, _], cone) = (extent(fit), fit.surface);
-        // Such a one that its radius is zero within what is seen.
+        // The cone now has the radius zero within the visible part.
         fit.surface.slope = cone.radius / (0.5 * -from);
         let apex = fit.surface.axis.dot(&(fit.surface.apex() - cone.point));
         assert!((extent(fit)[0] - apex).abs() < 1e-12 && apex > from, "{} {apex}", extent(fit)[0]);
@@ -448,7 +450,7 @@ mod tests {
         }
     }
 
-    /// A plane leaves so much more of the points, in variances, as if they scattered by what the surface leaves of them.
+    /// The chi squared of a plane is that beyond the surface's, in units of the scatter about the surface.
     #[test]
     fn points_that_share_their_noise_or_miss_the_surface_show_less_of_how_it_is_curved() {
         let mut arcs = arcs_of(&[cylinder(Vector3::z() * 2.0, Vector3::y(), 0.2, 0.5)]);
@@ -478,14 +480,15 @@ mod tests {
         let seen = rows.iter().find_map(|&row| arcs.arcs[row].contour[1]).unwrap();
         arcs.arcs.iter_mut().for_each(|arc| (arc.unseen, arc.contour) = ([false; 2], [None; 2]));
         for (at, &row) in rows[..10].iter().enumerate() {
-            // Five ends on one side, and seven on the other.
+            // Five ends are free on one side, and seven on the other.
             (arcs.arcs[row].unseen[0], arcs.arcs[row].contour[1]) = (at < 5, (at < 7).then_some(seen));
         }
         let region = Region { members: &rows[..10], ..fitted(&arcs, &rows, ObjectKind::Sphere) };
         assert_eq!(Outline::of(&region, &Contour::default()).free, 12.0 / 20.0);
     }
 
-    /// Their mean with four that are as far off as expected, for each line that shares their noise.
+    /// The expected square is a mean with four points that are off by one standard deviation, for each line that shares their
+    /// noise.
     #[test]
     fn few_points_of_an_outline_say_little_of_how_well_it_fits() {
         let mut arcs = arcs_of(&[sphere(Vector3::z() * 1.5, 0.2), wall(4.0)]);

@@ -1,5 +1,5 @@
-//! Which segments are arcs, and what is told of them: their ends are taken off where they may belong to something else,
-//! their curvature has to exceed the noise, and their centre has to lie behind the surface.
+//! Turns segments into arcs: trims ends that may belong to something else; the curvature has to exceed the noise, and the centre
+//! has to lie behind the surface.
 
 use super::rays::Rays;
 use super::rejection::ArcRejection;
@@ -9,24 +9,24 @@ use conicflow_geometry::{ArcFit, ArcMoments, Circle, LineSums, PlaneMoments, Sca
 use conicflow_messages::{END_POINTS, Ellipse};
 use std::ops::Range;
 
-/// For an arc that is a part of a run and no contour sets off: its line error has to exceed its circle error by so many standard
-/// deviations.
+/// Least difference between the line error and the circle error of an arc, in standard deviations, if it is only a part of a run
+/// and has no contour.
 const PART_BEND_SIGMAS: f64 = 3.0; // [sigmas]
-/// For any other arc of at least [`WEAK_POINTS`] points: its line error has to exceed its circle error by so many standard
-/// deviations. Most such runs are flat.
+/// The same for any other arc of at least [`WEAK_POINTS`] points. Most such runs are flat.
 const WHOLE_BEND_SIGMAS: f64 = 0.5; // [sigmas]
-/// Such an arc of fewer points has only to be curved at all, because many weak arcs together are strong evidence.
+/// Any other arc of fewer points only has to be curved at all, because many weak arcs together are strong evidence.
 const WEAK_POINTS: usize = 16; // [tuned]
-/// Fewest points of an arc that is kept although noise bends it the wrong way, because jumps set it off.
+/// Fewest points of an arc that is kept although noise bends it the wrong way, because jumps separate it from its surroundings.
 const MIN_SET_OFF_POINTS: usize = 6; // [tuned]
-/// Besides `trim_px`, one point in so many is taken off each end: the larger an edge is seen, the wider it is smeared.
+/// One point for each of this many is trimmed from each end, besides `trim_px`: the larger an edge appears, the wider it is
+/// smeared.
 const POINTS_PER_SMEARED: usize = 32; // [tuned]
-/// Radius of a circle that looks like a line, in metres.
+/// Radius of a circle that is indistinguishable from a line, in metres.
 const STRAIGHT_M: f64 = 500.0; // [algorithmic]
 
-/// The arc of a run that a line explains, or why that is no arc; `None` where no line explains it.
+/// Returns the arc of a run that a line explains, or why it is none; `None` where no line explains the run.
 ///
-/// Most of an image are walls and floors: of these no more is summed than has to be.
+/// Most of an image shows walls and floors, so this computes only the sums that it needs.
 pub(super) fn accept_line(rays: &Rays, image: &[u16]) -> Option<Result<Ellipse, ArcRejection>> {
     let inner = rays.inner.clone();
     let smeared = inner.len() / POINTS_PER_SMEARED;
@@ -53,12 +53,12 @@ pub(super) fn accept_line(rays: &Rays, image: &[u16]) -> Option<Result<Ellipse, 
     })
 }
 
-/// Standard deviation of the mean square error of a line through some points.
+/// Returns the standard deviation of the mean square error of a line through some points.
 fn scatter(rays: &Rays, points: &Range<usize>) -> f64 {
     rays.variance(points.start, points.end) * (2.0 / points.len() as f64).sqrt()
 }
 
-/// The arc of a segment, or why that is no arc.
+/// Returns the arc of a segment, or why it is none.
 pub(super) fn accept(run: &Run, image: &[u16], segment: &Segment) -> Result<Ellipse, ArcRejection> {
     let points = trimmed(run, segment);
     if points.len() < MIN_ARC_POINTS {
@@ -67,7 +67,7 @@ pub(super) fn accept(run: &Run, image: &[u16], segment: &Segment) -> Result<Elli
     arc(run, image, segment, points.clone(), &run.moments(points.start, points.end))
 }
 
-/// The arc of some points of a segment, of which the moments are known, or why that is no arc.
+/// Returns the arc of some points of a segment with these moments, or why it is none.
 fn arc(
     rays: &Rays,
     image: &[u16],
@@ -87,13 +87,14 @@ fn arc(
     Ok(Ellipse { contour, ..message(rays, image, points, &fit, &moments) })
 }
 
-/// Moments of some points about their mean.
+/// Returns the moments of some points about their mean.
 fn all_moments(rays: &Rays, points: &Range<usize>) -> PlaneMoments {
     let moments = rays.all_sums(points.clone()).moments(rays.plane().stretch());
     moments.mean().map_or(moments, |mean| moments.about(mean))
 }
 
-/// The circle through the points of a segment, which may be set off from what is beside it, or why it is none of an object.
+/// Returns the circle through the points of a segment, or why it is no arc; `is_set_off`: something separates it from its
+/// surroundings.
 fn circle(
     rays: &Rays,
     is_set_off: bool,
@@ -121,7 +122,8 @@ fn circle(
     }
 }
 
-/// Whether a segment may be part of an object even where the noise bends it the wrong way: it is set off by jumps.
+/// Returns whether a segment may be part of an object although noise bends it the wrong way, because jumps separate it from its
+/// surroundings.
 fn may_be_part(rays: &Rays, segment: &Segment, points: &Range<usize>, contour: [f64; 2]) -> bool {
     is_whole(rays, segment)
         && points.len() >= MIN_SET_OFF_POINTS
@@ -129,7 +131,7 @@ fn may_be_part(rays: &Rays, segment: &Segment, points: &Range<usize>, contour: [
         && rays.width() < 2.0 * rays.view.parameters.max_radius_m
 }
 
-/// A circle that touches the points and is as flat as a line.
+/// Returns a circle that touches the points and is as flat as a line.
 fn nearly_flat(moments: &ArcMoments) -> ArcFit {
     let mean = moments.mean();
     let away = 1.0 / (mean[0] * mean[0] + mean[1] * mean[1]).sqrt();
@@ -138,9 +140,10 @@ fn nearly_flat(moments: &ArcMoments) -> ArcFit {
     ArcFit { line_square, circle_square: line_square, circle }
 }
 
-/// Where a segment ends before something behind it, on the sides on which it ends its run: half a pixel beyond its last one. How
-/// much of its edge the sensor loses is asked later, of all objects together. Beyond a hole may be the same surface: only a jump
-/// counts. A pixel between two jumps is of neither side: the segment ends in its middle.
+/// Returns where a segment ends before something behind it, for the sides on which it ends its run; 0 elsewhere. The contour is
+/// half a pixel beyond its last pixel; `contours.rs` estimates from all objects how much of its edge the sensor loses. Only a
+/// jump counts, because the same surface may continue beyond a hole. A pixel between two jumps belongs to neither side, and the
+/// contour is in its middle.
 fn contour(rays: &Rays, segment: &Segment) -> [f64; 2] {
     let max_hole_px = rays.view.parameters.max_hole_px;
     let end = |is_end: bool, point: usize, [next, after]: [Option<(u32, u16)>; 2], half: f64| {
@@ -157,20 +160,20 @@ fn contour(rays: &Rays, segment: &Segment) -> [f64; 2] {
     [end(starts_run, 0, before, -0.5), end(ends_run, rays.length - 1, behind, 0.5)].map(Option::unwrap_or_default)
 }
 
-/// Whether a segment starts and ends its run.
+/// Returns whether a segment starts and ends its run.
 fn reaches_ends(rays: &Rays, segment: &Segment) -> [bool; 2] {
     [segment.from == rays.inner.start, segment.to == rays.inner.end]
 }
 
-/// Whether a segment is all there is between two jumps or creases.
+/// Returns whether a segment is everything between two jumps or creases.
 fn is_whole(rays: &Rays, segment: &Segment) -> bool {
     let [starts_run, ends_run] = reaches_ends(rays, segment);
     let is_open = starts_run && rays.points.open[0] || ends_run && rays.points.open[1];
     [segment.from, segment.to] == segment.part && !is_open
 }
 
-/// What is left of a segment when the ends that may belong to something else are taken off: pixels at a jump mix two
-/// depths, and where a curve breaks it may have taken in a point of what follows.
+/// Returns a segment without the ends that may belong to something else: pixels at a jump mix two depths, and a segment that ends
+/// within its run may include a point of the next one.
 fn trimmed(run: &Run, segment: &Segment) -> Range<usize> {
     let &Segment { from, to, .. } = segment;
     let [before, behind] = reaches_ends(run, segment)
@@ -178,9 +181,9 @@ fn trimmed(run: &Run, segment: &Segment) -> Range<usize> {
     from + before..to.saturating_sub(behind).max(from + before)
 }
 
-/// The points with the next one on either side, where that was taken off only because pixels at a jump may mix two depths,
-/// and its ray meets the circle through the others: what it shows then is the surface, where it curves most. With their
-/// circle and moments; `None` where there is no such point, or no circle explains them all.
+/// Extends the points by the next one on either side if it was trimmed only because pixels at a jump may mix two depths, and if
+/// its ray meets the circle through the others: such a point shows the surface where it curves most. Returns the points with
+/// their circle and moments; `None` where there is no such point, or no circle explains them all.
 fn with_ends(
     rays: &Rays,
     segment: &Segment,
@@ -253,20 +256,20 @@ fn message(rays: &Rays, image: &[u16], points: Range<usize>, fit: &ArcFit, momen
     }
 }
 
-/// Depths of the outermost points of an arc at one end, on neighbouring pixels; 0 beyond those.
+/// Returns the depths of the outermost points of an arc at one end, on neighbouring pixels; 0 beyond those.
 fn outermost(rays: &Rays, points: &Range<usize>, from_last: bool) -> [f64; END_POINTS] {
     let point = |inwards: usize| if from_last { points.end - 1 - inwards } else { points.start + inwards };
     let end = i64::from(rays.pixel(point(0)));
     let is_next = |inwards: &usize| i64::from(rays.pixel(point(*inwards))).abs_diff(end) == *inwards as u64;
     let mut depths = [0.0; END_POINTS];
-    // No point is told at both ends.
+    // No point is reported at both ends.
     for inwards in (0..END_POINTS.min(points.len() / 2)).take_while(is_next) {
         depths[inwards] = rays.points.metres[point(inwards)];
     }
     depths
 }
 
-/// The depth of a pixel of the line; 0 where there is none.
+/// Returns the depth of a pixel of the line; 0 without a measurement.
 fn depth_at(rays: &Rays, image: &[u16], pixel: i64) -> f64 {
     rays.view.depth(image, rays.line.number, pixel).unwrap_or(0.0)
 }

@@ -1,38 +1,39 @@
-//! Lines that are read as the mean of themselves and their neighbours, where one alone hides its jumps in noise.
+//! Averages each line with its neighbours, where noise hides the jumps of a single line.
 //!
-//! A line is split where neighbouring pixels differ by more than one surface and the noise explain. Where the noise exceeds
-//! the step of a steep surface, a thing runs into what lies behind it. The lines beside it show the same things: the mean of k
-//! lines of independent noise has a k-th of its variance. Neighbouring means share their noise instead, as they would with
-//! a camera that compares windows: what all lines of an object tell together stays as it is.
+//! A line is split where neighbouring pixels differ by more than one surface and the noise explain. Where the noise exceeds the
+//! step of a steep surface, an object merges with its background. Neighbouring lines show the same objects, and the mean of k
+//! lines of independent noise has a k-th of its variance. Neighbouring means share their noise, as with a camera that compares
+//! windows: all lines of an object together hold the same information as before.
 //!
-//! Each pixel is averaged over as many lines as bring its noise down to that step and no more: where a surface bends across
-//! the lines, the mean lies behind it. Of two pixels on either side both count or neither, so that a slope does not move the
-//! mean, and what is beyond a jump does not count, so that silhouettes stay where they are.
+//! Each pixel is averaged over as many lines as bring its noise down to that step and no more, because the mean lies behind a
+//! surface that bends across the lines. The two pixels at one distance on either side both count, or neither does, so a slope
+//! does not shift the mean. Pixels beyond a jump do not count, so silhouettes stay in place.
 
 use super::view::{LeastStep, SURROUNDINGS};
 use conicflow_messages::is_measured;
 
-/// Most lines that are averaged: the contour of a small thing changes from line to line.
+/// Largest number of lines that are averaged: the contour of a small object changes from line to line.
 pub(super) const MAX_LINES: u32 = 5; // [tuned]
-/// Where [`MAX_LINES`] are averaged, only every second line is looked at, if so many lines are left: those between them tell
-/// hardly more, but the smallest things have to be seen in enough lines. With every line, 389 and not 390 things are found in the
-/// first 15 scenes of each group, seen by a Kinect and by a D435 at 1280x960 (`experiments/detection.toml`); with 240 each finds
-/// 11 less of 1426 at 640x480.
+/// If [`MAX_LINES`] are averaged, only every second line is searched, provided that at least this many lines remain: the lines
+/// between add little, but the smallest objects have to be seen in enough lines. If every line is searched, 389 in place of 390
+/// objects are found in the first 15 scenes of each group, seen by a Kinect and by a D435 at 1280x960
+/// (`experiments/detection.toml`); with 240 in place of 480 each sensor finds 11 fewer of 1426 at 640x480.
 const ENOUGH: u32 = 480; // [tuned]
-/// Where more neighbouring lines than this share their noise, none are averaged: their mean keeps most of it. Simulated
-/// structured light loses by averages (F1 0.831 to 0.809, `experiments/simulated_sensors.toml`, seeds 0 to 9).
+/// If more neighbouring lines than this share their noise, none are averaged: their mean would keep most of it. Averages harm
+/// simulated structured light (F1 0.831 to 0.809, `experiments/simulated_sensors.toml`, seeds 0 to 9).
 const INDEPENDENT: f64 = 2.0; // [tuned]
 /// Number of pixels that are averaged together.
 const MEAN_BATCH: usize = 32; // [algorithmic]
-/// A pixel that differs by more units than this does not count: the sum of four differences fits into 16 bits.
+/// Largest difference of a pixel that counts, in units of the image: the sum of four differences fits into 16 bits.
 const MOST_OFF: u16 = 8191; // [algorithmic]
-/// The largest depth that is a measurement; the least is 1.
+/// The largest raw depth that is a measurement; the least is 1.
 const MOST_MEASURED: u16 = u16::MAX - 1; // [derived]
-/// Shares are counted in parts of which so many make a whole.
+/// Denominator of the shares of a pixel in a mean.
 const WHOLE: u32 = 1 << 16; // [algorithmic]
 
-/// How many lines are averaged where the noise of one is `excess` times the step of a steep surface from pixel to pixel, and
-/// this number of neighbouring lines share it: as many as bring it down to that step; an odd number, 1 for none.
+/// Returns how many lines are averaged: as many as bring the noise down to the step of a steep surface between pixels. `excess`
+/// is the noise of one line in units of that step, and `shared_lines` neighbouring lines share it. The number is odd; 1 means
+/// none.
 pub(super) fn lines(excess: f64, shared_lines: f64) -> u32 {
     if shared_lines > INDEPENDENT {
         return 1;
@@ -40,37 +41,39 @@ pub(super) fn lines(excess: f64, shared_lines: f64) -> u32 {
     (1..MAX_LINES).step_by(2).find(|&lines| excess * excess * variance(lines, shared_lines) <= 1.0).unwrap_or(MAX_LINES)
 }
 
-/// Variance of the mean of some lines, in variances of one, where this number of neighbouring lines share their noise.
+/// Returns the variance of the mean of some lines relative to that of one line, where `shared_lines` neighbouring lines share
+/// their noise.
 ///
-/// The correlation of lines that are i apart is taken as `r^i`, so that `(1 + r) / (1 - r)` of them count as one.
+/// The correlation of lines at the distance i is taken as `r^i`, so that `(1 + r) / (1 - r)` of them count as one.
 pub(super) fn variance(lines: u32, shared_lines: f64) -> f64 {
     let correlation = (shared_lines - 1.0) / (shared_lines + 1.0);
     let apart = |i: u32| 2.0 * f64::from(lines - i) * correlation.powi(i.cast_signed());
     (f64::from(lines) + (1..lines).map(apart).sum::<f64>()) / f64::from(lines * lines)
 }
 
-/// Every how many lines one is looked at in an image of so many rows and columns, of which so many are averaged.
+/// Returns the step between the lines that are searched, given the number of averaged rows and columns, and of all rows and
+/// columns.
 pub(super) fn step(averaged: [u32; 2], lines: [u32; 2]) -> u32 {
     let steps = averaged.into_iter().zip(lines).map(|(averaged, lines)| (averaged / 2).min(lines / ENOUGH));
     steps.min().unwrap_or(1).max(1)
 }
 
-/// How lines are averaged.
+/// The weights of an average over lines.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Averaging {
-    /// For each line on either side, from the nearest on: standard deviation of the mean of all lines that are nearer, in that of
-    /// one line, times [`WHOLE`]. 0 for lines that never count.
+    /// For each line on either side, from the nearest on: standard deviation of the mean of all lines nearer than it, relative to
+    /// that of one line, times [`WHOLE`]. 0 for lines that never count.
     mean_sigmas: [u16; (MAX_LINES / 2) as usize],
-    /// Number of lines on either side that count at most.
+    /// Largest number of lines on either side that count.
     reach: u32,
-    /// Variance of a pixel over which 0, 1, ... lines on either side were averaged, in that of one over which all were.
+    /// Variance of a pixel averaged over 0, 1, ... lines on either side, relative to that of one averaged over all.
     variances: Vec<f64>,
-    /// The mean of [`SURROUNDINGS`] equal ones of these, to the bit: their sum is rounded.
+    /// The mean of [`SURROUNDINGS`] equal values of each of these, with the rounding of their sum, for bitwise the same results.
     mean_of_equal: Vec<f64>,
 }
 
 impl Averaging {
-    /// The mean of at most so many lines, of which this number share their noise.
+    /// Sets up the mean of at most `lines` lines, of which `shared_lines` share their noise.
     pub fn set(&mut self, lines: u32, shared_lines: f64) {
         let reach = lines / 2;
         let of = |pairs: u32| variance(2 * pairs + 1, shared_lines);
@@ -86,13 +89,13 @@ impl Averaging {
         self.mean_of_equal.extend(self.variances.iter().map(mean));
     }
 
-    /// Number of lines on either side that count at most.
+    /// Returns the largest number of lines on either side that count.
     pub fn reach(&self) -> u32 {
         self.reach
     }
 
-    /// Mean variance of pixels over which so many lines on either side were averaged, in that of pixels over which all were; 1 of
-    /// none.
+    /// Returns the mean variance of pixels relative to that of pixels averaged over all lines, given the number of lines on
+    /// either side over which each was averaged; 1 without pixels.
     pub fn variance(&self, pairs: &[u16]) -> f64 {
         let Some(&first) = pairs.first() else { return 1.0 };
         if *pairs == [first; SURROUNDINGS] {
@@ -101,9 +104,9 @@ impl Averaging {
         pairs.iter().map(|&pairs| self.variances[usize::from(pairs)]).sum::<f64>() / pairs.len() as f64
     }
 
-    /// The mean of a line and of at most `reach` lines on either side, and of each pixel how many of these on either side
-    /// count. `line` gives so many pixels of the one that is so far from it, as many as `means` and `pairs` have; `jump` tells
-    /// how far pixels of one surface differ.
+    /// Computes for each pixel the mean of a line and of at most `reach` lines on either side, and the number of lines on either
+    /// side that count. `line(by)` returns the pixels of the line at the distance `by`, as many as `means` and `pairs` have;
+    /// `jump` limits the differences between pixels of one surface.
     pub fn average<'a>(
         &self,
         jump: &LeastStep,
@@ -112,7 +115,7 @@ impl Averaging {
         means: &mut [u16],
         pairs: &mut [u16],
     ) {
-        // The last batch ends where the line does, and begins among the pixels of the one before it.
+        // The last batch ends with the line, and overlaps the batch before it.
         let (length, last) = (means.len().min(MEAN_BATCH), means.len().saturating_sub(MEAN_BATCH));
         for first in (0..means.len()).step_by(MEAN_BATCH).map(|first| first.min(last)) {
             let here = first..first + length;
@@ -123,7 +126,7 @@ impl Averaging {
         }
     }
 
-    /// The same of a batch of pixels, as what the neighbours add to each, in whole numbers: processors work on eight at a time.
+    /// Computes the same for a batch of pixels, from differences in integers, of which processors handle eight at a time.
     #[inline]
     fn average_batch(
         &self,
@@ -132,11 +135,11 @@ impl Averaging {
         line: impl Fn(i32) -> [u16; MEAN_BATCH],
     ) -> ([u16; MEAN_BATCH], [u16; MEAN_BATCH]) {
         let middle = line(0);
-        // How far off what counts may be, and how many on either side do; of what is not measured, none.
+        // For each pixel: the largest difference that counts, and the number of lines on either side; 0 without a measurement.
         let (mut limits, mut reaches) = ([0; MEAN_BATCH], [0_u16; MEAN_BATCH]);
         for (at, &depth) in middle.iter().enumerate() {
             let [noise, slope] = jump.noise_and_slope(depth);
-            // Within that limit all is measured.
+            // Every depth within this limit of the pixel is a measurement.
             limits[at] = noise
                 .saturating_add(slope)
                 .min(MOST_OFF)
@@ -151,7 +154,7 @@ impl Averaging {
         if reaches.iter().fold(true, |none, &reach| none & (reach == 0)) {
             return (middle, [0; MEAN_BATCH]);
         }
-        // All ones where no jump was met yet; how far what counts is off, in all; and the share of one of it.
+        // For each pixel: all ones until a jump is met, the sum of the differences that count, and the share of one of them.
         let (mut goes_on, mut off, mut share) = ([u16::MAX; MEAN_BATCH], [0_u16; MEAN_BATCH], [0_u16; MEAN_BATCH]);
         let (mut pairs, mut share_before) = ([0_u16; MEAN_BATCH], 0);
         for by in 1..=reach as u16 {
@@ -173,14 +176,14 @@ impl Averaging {
         let mut means = middle;
         for ((mean, &off), &share) in means.iter_mut().zip(&off).zip(&share) {
             let whole = (i32::from(off.cast_signed()) * i32::from(share.cast_signed())) >> 16;
-            // Rounded by the highest bit of what is less than one.
+            // Rounds by the highest bit of the fraction.
             *mean = mean.wrapping_add(whole as u16).wrapping_add(off.wrapping_mul(share) >> 15);
         }
         (means, pairs)
     }
 }
 
-/// Some pixels, and as many more that are not measured as make a batch.
+/// Returns some pixels, filled up to a batch with unmeasured ones.
 #[inline]
 fn batch_of(pixels: &[u16]) -> [u16; MEAN_BATCH] {
     pixels.first_chunk().copied().unwrap_or_else(|| {
@@ -210,7 +213,7 @@ mod tests {
     #[test]
     fn the_mean_keeps_what_its_lines_share() {
         assert_eq!([1, 3, 5].map(|lines| variance(lines, 1.0)), [1.0, 1.0 / 3.0, 0.2]);
-        // Neighbours are correlated by 1/2: (3 + 2 (2/2 + 1/4)) / 9.
+        // Neighbours have the correlation 1/2: (3 + 2 (2/2 + 1/4)) / 9.
         assert!((variance(3, 3.0) - 5.5 / 9.0).abs() < 1e-12);
         assert!((0.99..1.0).contains(&variance(5, 1000.0)));
     }
@@ -222,8 +225,8 @@ mod tests {
         assert_eq!([[3, 5], [1, 1]].map(|averaged| step(averaged, [960, 1280])), [1, 1]);
     }
 
-    /// The mean of the middle one of five lines that step by up to 10 units of noise and one of slope within a surface; and how
-    /// many on either side count.
+    /// The mean of the middle one of five lines, with a limit of 10 units of noise and one of slope on steps within a surface;
+    /// and the number of lines on either side that count.
     fn mean(lines: &[[u16; 6]; 5]) -> ([u16; 6], [u16; 6]) {
         let jump = LeastStep::new(&NoiseModel { floor_m: 0.0026, ..NoiseModel::IDEAL }, 0.001, 0.0005);
         assert_eq!(jump.noise_and_slope(1000), [10, 1]);
@@ -243,7 +246,8 @@ mod tests {
             [1003, 1005, 1003, 1003, 1005, 1000],
             [1009, 1009, 1009, 1004, 1005, 1010],
         ];
-        // All five, of which the sum is off by 25; a slope; beyond a jump; nothing measured; three, as a fifth is not measured.
+        // All five lines, whose sum is off by 25; a slope; beyond a jump; not measured; three lines, as an outer one is not
+        // measured.
         assert_eq!(mean(&lines), ([1005, 1000, 1000, 0, 1003, 65535], [2, 2, 0, 0, 1, 0]));
     }
 

@@ -1,35 +1,36 @@
-//! The lines that are looked at as a whole, and what they make worth a look in the lines between them.
+//! The coarse lines, which are searched as a whole, and the windows that they open in the lines between them.
 //!
-//! Only where something is curved: an arc opens the gap to the next coarse line if a circle explains its points better
-//! than noise lets one explain those of a straight line, or if such an arc lies beside it, above or below. Most of what is
-//! flat and narrow (legs, sides of boxes, strips of wall between other things) is thus seen in a sixth of the lines only.
+//! Windows open only at curved surfaces. An arc opens a window towards the next coarse line if a circle explains its points
+//! better than noise explains for a straight line, or if such an arc lies beside it, in the line above or below. So most flat and
+//! narrow surfaces (legs, sides of boxes, strips of wall between objects) are seen in a sixth of the lines only.
 
 use conicflow_geometry::{PlaneMoments, ScanPlane, bulge};
 use conicflow_messages::Ellipse;
 use std::ops::Range;
 
-/// One line in so many is searched as a whole. It is less than `min_lines` of the assembler, so that no object lies between.
+/// Step between the lines that are searched as a whole. It is less than `min_lines` of the assembler, so that no object lies
+/// between.
 const COARSE_STEP: u32 = 6; // [algorithmic]
-/// Least bulge of a curved arc, which opens the gaps beside it: noise gives as much to one straight arc in 13.
+/// Least bulge of a curved arc, which opens windows, as chi squared: noise gives as much to one straight arc in 13.
 const OPENS_GAP_CHI2: f64 = 2.0; // [sigmas]
-/// Pixels beyond both ends of an arc that are searched in the lines beside it.
+/// Margin in pixels beyond both ends of an arc that is searched in the lines beside it.
 const SEARCH_MARGIN_PX: u32 = 16; // [tuned]
-/// The margin is wider by the length of the arc over this.
+/// The margin grows by the length of the arc divided by this.
 const SEARCH_MARGIN_DIVISOR: u32 = 4; // [tuned]
 
-/// The distance between lines that are looked at as a whole, where the others are looked at at every `step`th line.
+/// Returns the distance between coarse lines if every `step`th line is searched at all.
 pub(crate) fn coarse_step(step: u32) -> u32 {
     step * (COARSE_STEP / step).max(1)
 }
 
-/// What the coarse lines of an image show; the buffers are used again for the next.
+/// The arcs of the coarse lines of an image; the buffers are used again for the next image.
 #[derive(Debug, Default)]
 pub(crate) struct CoarseLines {
-    /// In the order of line and pixel.
+    /// The arcs in the order of line and pixel.
     arcs: Vec<Ellipse>,
     /// Whether each is curved.
     curved: Vec<bool>,
-    /// Where the arcs of each line end.
+    /// The end of each line's arcs in `arcs`.
     ends: Vec<usize>,
     windows: Vec<Range<u32>>,
 }
@@ -41,12 +42,12 @@ impl CoarseLines {
         self.ends.clear();
     }
 
-    /// Adds what the next line shows, which lies in `plane`, and of which `find` adds the arcs.
+    /// Adds the next line, which lies in `plane`; `find` adds its arcs.
     pub fn add(&mut self, plane: &ScanPlane, find: impl FnOnce(&mut Vec<Ellipse>)) {
         find(&mut self.arcs);
         let square_stretch = plane.stretch().powi(2);
         let is_curved = |arc: &Ellipse| {
-            // Where points share their noise, they tell no more than the fewer ones that share none.
+            // Points that share their noise hold no more information than fewer independent ones.
             let variance = arc.sigma * arc.sigma * square_stretch * arc.shared();
             bulge(&PlaneMoments::from_sums(arc.origin, arc.moments), variance) >= OPENS_GAP_CHI2
         };
@@ -54,13 +55,13 @@ impl CoarseLines {
         self.ends.push(self.arcs.len());
     }
 
-    /// The arcs of a line, counted from 0; none beyond the last.
+    /// Returns the arcs of a coarse line, counted from 0; none beyond the last.
     pub fn arcs(&self, line: usize) -> &[Ellipse] {
         &self.arcs[self.indices(line)]
     }
 
-    /// The pixels that are worth a look in the lines between a coarse one and the one before it, in order and apart, where
-    /// a line has `length` of them.
+    /// Returns the windows to be searched in the lines between a coarse line and the one before it, in order and disjoint;
+    /// `length` is the number of pixels of a line.
     pub fn windows_before(&mut self, line: usize, length: u32) -> &[Range<u32>] {
         let mut windows = std::mem::take(&mut self.windows);
         windows.clear();
@@ -78,7 +79,7 @@ impl CoarseLines {
         line.checked_sub(1).map_or(Some(0), end).zip(end(line)).map_or(0..0, |(start, end)| start..end)
     }
 
-    /// Whether an arc of a line is curved, or one that it overlaps in the line above or below.
+    /// Returns whether an arc is curved, or overlaps a curved one in the line above or below.
     fn is_beside_curved(&self, index: usize, line: usize) -> bool {
         let overlaps = |other: &Ellipse| other.first <= self.arcs[index].last && other.last >= self.arcs[index].first;
         let shows_curved = |line| self.indices(line).any(|other| self.curved[other] && overlaps(&self.arcs[other]));
@@ -86,13 +87,13 @@ impl CoarseLines {
     }
 }
 
-/// The pixels about an arc that are worth a look in the lines beside it.
+/// Returns the window about an arc that is searched in the lines beside it.
 fn window_about(arc: &Ellipse, length: u32) -> Range<u32> {
     let margin = SEARCH_MARGIN_PX + (arc.last - arc.first) / SEARCH_MARGIN_DIVISOR;
     arc.first.saturating_sub(margin)..(arc.last + 1 + margin).min(length)
 }
 
-/// Puts windows in order, and those that overlap together.
+/// Sorts windows and merges those that overlap.
 fn unite(windows: &mut Vec<Range<u32>>) {
     windows.sort_unstable_by_key(|window| window.start);
     windows.dedup_by(|next, kept| {
@@ -109,7 +110,7 @@ mod tests {
     use super::*;
     use conicflow_geometry::{Pinhole, Scan};
 
-    /// Coarse lines with arcs of these pixels, curved or not.
+    /// Coarse lines with arcs at these pixels, curved or not.
     fn lines(lines: &[&[(Range<u32>, bool)]]) -> CoarseLines {
         let mut coarse = CoarseLines::default();
         for arcs in lines {
@@ -122,7 +123,7 @@ mod tests {
         coarse
     }
 
-    /// First pixels and ends of the windows before a line, of 100 pixels.
+    /// First pixels and ends of the windows before a line of 100 pixels.
     fn windows(coarse: &mut CoarseLines, line: usize) -> Vec<[u32; 2]> {
         coarse.windows_before(line, 100).iter().map(|window| [window.start, window.end]).collect()
     }
@@ -130,7 +131,7 @@ mod tests {
     #[test]
     fn an_arc_is_curved_by_the_points_that_share_no_noise() {
         let plane = Pinhole { fx: 500.0, fy: 500.0, cx: 300.0, cy: 200.0 }.plane(Scan::Row, 200.0);
-        // A part of a circle.
+        // An arc of a circle.
         let points = (-20..=20).map(|x| f64::from(x) * 1e-3).map(|s| [s, 2.2 - (0.04 - s * s).sqrt()]);
         let moments = PlaneMoments::of([0.0, 2.0], points);
         let arc = Ellipse {
@@ -148,7 +149,7 @@ mod tests {
         };
         let bulge = bulge(&moments, arc.sigma * arc.sigma);
         assert!((25.0..25.5).contains(&bulge), "{bulge}");
-        // Of its 41 points 41, 14.3 and 3 count, and 25, 8.8 and 1.8 are left of the bulge.
+        // Of its 41 points 41, 14.3 and 3 count as independent, which leaves 25, 8.8 and 1.8 of the bulge.
         assert_eq!([1.0, 3.0, 20.0].map(is_curved), [true, true, false]);
     }
 

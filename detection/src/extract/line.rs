@@ -8,7 +8,7 @@ use std::ops::Range;
 /// Number of pixels that are copied at once if all of them are measured.
 const GATHERED: usize = 32; // [algorithmic]
 
-/// A scan line; its buffers are used again for the next.
+/// A scan line; its buffers are used again for the next line.
 #[derive(Debug)]
 pub(super) struct RayLine {
     pub number: u32,
@@ -23,7 +23,7 @@ pub(super) struct RayLine {
     depths: Vec<u16>,
     /// Depth of each measurement, in metres.
     metres: Vec<f64>,
-    /// How many neighbours on either side count in each; empty where lines are not averaged.
+    /// Number of neighbours on either side that count in each measurement; empty where lines are not averaged.
     pairs: Vec<u16>,
     runs: Vec<Range<usize>>,
 }
@@ -63,7 +63,7 @@ impl RayLine {
         self.window = window;
     }
 
-    /// Copies those of the pixels from `first` on that are measured one behind another; returns their number.
+    /// Copies the measured pixels from `first` on without gaps; returns their number.
     fn gather(&mut self, view: &View, first: u32, pixels: &[u16]) -> usize {
         let mut count = 0;
         for (batch, first) in pixels.chunks(GATHERED).zip((first..).step_by(GATHERED)) {
@@ -74,7 +74,7 @@ impl RayLine {
                 continue;
             }
             for (pixel, &depth) in (first..).zip(batch) {
-                // Written in any case, counted only if it is one: no branch on the image's content.
+                // Every pixel is written, but only a measured one is counted, so that no branch depends on the image.
                 (self.pixels[count], self.depths[count]) = (pixel, depth);
                 count += usize::from(is_measured(depth));
             }
@@ -85,7 +85,7 @@ impl RayLine {
         count
     }
 
-    /// The same of how many neighbours on either side count in each pixel; `pairs` is empty where lines are not averaged.
+    /// Does the same for the numbers of neighbours on either side; `pairs` is empty where lines are not averaged.
     fn gather_pairs(&mut self, depths: &[u16], pairs: &[u16]) {
         self.pairs.clear();
         for (depths, pairs) in depths.chunks(GATHERED).zip(pairs.chunks(GATHERED)) {
@@ -125,7 +125,7 @@ impl RayLine {
         self.runs[index].len()
     }
 
-    /// The measurements of a run.
+    /// Returns the measurements of a run.
     pub fn run(&self, view: &View, index: usize) -> Points<'_> {
         let points = self.runs[index].clone();
         let ends = [self.pixels[points.start], self.pixels[points.end - 1]];
@@ -146,13 +146,13 @@ impl RayLine {
         }
     }
 
-    /// Pixel and depth of a measurement, if there are so many.
+    /// Returns the pixel and the depth of a measurement; `None` beyond the last.
     fn measurement(&self, index: usize) -> Option<(u32, u16)> {
         (index < self.count).then(|| (self.pixels[index], self.depths[index]))
     }
 }
 
-/// The places of the ones among zeros and ones.
+/// Returns the positions of the ones among zeros and ones.
 fn places(flags: &[u8; JUMP_BATCH]) -> impl Iterator<Item = usize> {
     let (words, _) = flags.as_chunks();
     words.iter().zip((0..).step_by(8)).flat_map(|(word, first)| {
@@ -173,10 +173,10 @@ pub(super) struct Points<'a> {
     pub depths: &'a [u16],
     /// Depths, in metres.
     pub metres: &'a [f64],
-    /// How many neighbours on either side count in each; empty where lines are not averaged.
+    /// Number of neighbours on either side that count in each; empty where lines are not averaged.
     pub pairs: &'a [u16],
-    /// Pixel and depth of the two measurements before the run and of those behind it, the nearer first, in the window.
+    /// Pixel and depth of the two measurements before the run and of the two after it, the nearer first, within the window.
     pub neighbors: [[Option<(u32, u16)>; 2]; 2],
-    /// Whether the run goes on beyond the window, before the first point and behind the last.
+    /// Whether the run may continue beyond the window, before its first point and after its last.
     pub open: [bool; 2],
 }

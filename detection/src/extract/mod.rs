@@ -1,15 +1,15 @@
 //! Depth image -> ellipses: a scan line is cut where neither a line nor a circle explains its points.
 //!
-//! On an arc of less than half a turn a circle is a far better judge than a free ellipse; the true shape is left to the
-//! fit of all arcs of an object together. Unbiased moments put the expected error of the right curve at zero, so the limit
-//! is what the noise of n points scatters: `error^2 <= sigma^2 (a sqrt(2 / n) + b) + (0.1 mm)^2`.
+//! On an arc of less than half a turn, a circle decides far better than a free ellipse; the true shape is left to the fit of all
+//! arcs of an object together. With unbiased moments the expected error of the right curve is zero, so its limit is the scatter
+//! due to the noise of n points: `error^2 <= sigma^2 (a sqrt(2 / n) + b) + (0.1 mm)^2`.
 //!
-//! The files stand in the order of the steps: how noisy the image is ([`noise_level`], [`noise_planes`]); the rows or
-//! columns of the image as rays ([`view`]), columns as rows of the image turned ([`turned`]), in much noise averaged over
+//! The files in the order of the steps: the noise of the image ([`noise_level`], [`noise_planes`]); the rows or columns of the
+//! image as rays ([`view`]), where columns are rows of the turned image ([`turned`]), and much noise is averaged over
 //! neighbouring lines ([`averaging`]); one line, split into runs at jumps and holes ([`line`]); the rays of a run, and its
-//! running sums ([`rays`], [`run`]); the segments of a run that one curve explains ([`segments`]); the arc of a segment, with
-//! its contour ([`arc`]); and which lines between the coarse ones are worth a look ([`coarse`]). The walk itself is
-//! `Extractor::extract` in `method.rs`.
+//! running sums ([`rays`], [`run`]); the segments of a run that one curve explains ([`segments`]); the arc of a segment, with its
+//! contour ([`arc`]); and the lines between the coarse ones ([`coarse`]). `Extractor::extract` in `method.rs` puts the steps
+//! together.
 
 mod arc;
 mod averaging;
@@ -41,7 +41,7 @@ use search::LineSearch;
 pub(crate) use view::LEAST_VARIANCE;
 use view::View;
 
-/// Finds the ellipses of depth images; its buffers are used again for the next.
+/// Finds the ellipses of depth images; its buffers are used again for the next image.
 #[derive(Debug)]
 pub struct Extractor {
     pub(crate) noise: NoiseEstimate,
@@ -50,14 +50,14 @@ pub struct Extractor {
     pub(crate) coarse: CoarseLines,
     pub(crate) samples: NoiseSamples,
     pub(crate) squares: PlaneSquares,
-    /// The image with its columns for rows.
+    /// The transposed image, whose rows are the columns.
     pub(crate) columns: Vec<u16>,
     pub(crate) ellipses: Vec<Ellipse>,
     pub(crate) rejections: ArcRejections,
 }
 
 impl Extractor {
-    /// An extractor with these parameters.
+    /// Creates an extractor with these parameters.
     pub fn new(parameters: ExtractorParameters) -> Self {
         Self {
             view: View::with(parameters),
@@ -72,12 +72,12 @@ impl Extractor {
         }
     }
 
-    /// Why arcs of the last image were turned down, and how many of them.
+    /// Returns the reasons for which arcs of the last image were rejected, with their numbers.
     pub fn rejections(&self) -> impl Iterator<Item = (&'static str, u64)> {
         self.rejections.iter()
     }
 
-    /// Standard deviations of what is near and of what is far in the last image, in those of the nominal noise model.
+    /// Returns the standard deviations of near and of far depths in the last image, relative to the source's noise model.
     pub fn noise_ratios(&self) -> [f64; 2] {
         self.noise.variance_ratios.map(f64::sqrt)
     }

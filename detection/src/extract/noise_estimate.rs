@@ -1,4 +1,4 @@
-//! What is known of the noise of an image.
+//! The estimated noise of an image.
 
 use conicflow_geometry::Scan;
 use conicflow_messages::NoiseModel;
@@ -6,27 +6,27 @@ use conicflow_messages::NoiseModel;
 /// The noise of an image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct NoiseEstimate {
-    /// Its variance, times `level`, is that of a depth.
+    /// The variance of a depth is that of this model times `level`.
     pub model: NoiseModel,
     pub level: f64,
-    /// By how much neighbours of different surfaces scatter: no less than the source told, as a driver that smooths does so
-    /// within surfaces.
+    /// Noise of neighbours on different surfaces: at least that of the source's model, because a driver smooths only within
+    /// surfaces.
     pub neighbour_model: NoiseModel,
-    /// Variances of what is near and what is far, in those that the source told.
+    /// Variances at a near and at a far depth, in variances of the source's model.
     pub variance_ratios: [f64; 2],
-    /// How many neighbours in a row, and in a column, share it (`noise_planes.rs`), at least 1.
+    /// Number of neighbours along rows, and along columns, that share the noise (`noise_planes.rs`), at least 1.
     pub correlation_px: [f64; 2],
-    /// How many neighbouring rows, and how many columns, are averaged against it (`averaging.rs`); 1: none.
+    /// Number of neighbouring rows, and of columns, that are averaged to reduce it (`averaging.rs`); 1: none.
     pub averaged: [u32; 2],
 }
 
 impl NoiseEstimate {
-    /// As the source told it.
+    /// Returns the noise of the source's model, unchanged.
     pub fn nominal(model: NoiseModel) -> Self {
         Self::of_level(model, 1.0)
     }
 
-    /// A model whose variances are `level` times as large.
+    /// Returns the noise of a model with `level` times its variances.
     pub fn of_level(model: NoiseModel, level: f64) -> Self {
         Self {
             model,
@@ -38,7 +38,7 @@ impl NoiseEstimate {
         }
     }
 
-    /// How many pixels along a line, and how many lines, share the noise, and how many lines are averaged.
+    /// Returns the number of pixels along a line, and of lines, that share the noise, and the number of lines that are averaged.
     pub fn seen_along(&self, scan: Scan) -> ([f64; 2], u32) {
         let ([rows, columns], [of_rows, of_columns]) = (self.correlation_px, self.averaged);
         match scan {

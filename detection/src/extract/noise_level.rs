@@ -1,13 +1,14 @@
-//! How noisy an image is, as a multiple of the variance of its noise model.
+//! Estimates the noise of an image as a multiple of the variance of its noise model.
 //!
-//! All limits and the correction of the moments rest on the noise, and a sensor may well be noisier than its model says, or
-//! quieter where a driver smooths. Limits that are too narrow are the worse mistake: from a tenth more noise on, fewer
-//! and fewer surfaces would be found.
+//! All limits and the correction of the moments depend on the noise. A sensor may be noisier than its model says, or quieter
+//! where a driver smooths. Limits that are too narrow are the worse mistake: from a tenth more noise on, fewer and fewer surfaces
+//! would be found.
 //!
-//! Pixels that lie close together show the noise that they do not have in common, whatever the surface ([`scatter`]); that
-//! is all, unless a driver smooths. If there is less of it than the model says, the errors of lines and circles tell the
-//! whole ([`share`]): they are free of noise if the model is right, and below zero by its excess. Where the
-//! level is far too high, curves take in steps and folds as well: so they are looked at again by the level that they show.
+//! Pixels that lie close together show the noise that they do not share, whatever the surface ([`scatter`]). That is all of the
+//! noise, unless a driver smooths. If it is less than the model says, the residuals of lines and circles show the whole
+//! ([`share`]): after the model's variance is taken off they are zero if the model is right, and negative by its excess. Where
+//! the level is far too high, curves are also fitted across steps and folds, so they are fitted again with the level that they
+//! showed.
 
 use super::noise_estimate::NoiseEstimate;
 use super::rays::Rays;
@@ -22,37 +23,37 @@ use conicflow_messages::{Header, NoiseModel, is_measured};
 const SAMPLED_LINES: u32 = 12; // [algorithmic]
 /// Fewest points of a line or circle whose residual counts as a sample of the noise.
 const MIN_CURVE_POINTS: usize = 12; // [algorithmic]
-/// Least distance at one metre between the three pixels of a triple, in metres: a Kinect's lie three pixels apart. Pixels farther
-/// apart lie on different surfaces too often, however many pixels the image has; nearer ones often have the same depth of a
-/// sensor with steps.
+/// Least spacing of the three pixels of a triple, in metres at a distance of one metre: those of a Kinect lie three pixels apart.
+/// With a larger spacing triples span different surfaces too often, whatever the resolution; with a smaller one they often have
+/// the same depth, where a sensor quantises it.
 const TRIPLE_SPACING: f64 = 0.0048; // [tuned]
 /// Fewest triples that give an estimate.
 const MIN_TRIPLES: usize = 64; // [algorithmic]
-/// A triple whose second difference exceeds so many standard deviations does not lie on one smooth surface.
+/// A triple with a larger second difference, in standard deviations, does not lie on one smooth surface.
 const SMOOTH_SIGMAS: f64 = 2.5; // [sigmas]
 /// Mean square of a standard normal deviate that is truncated at [`SMOOTH_SIGMAS`].
 const TRUNCATED_SQUARE: f64 = 0.911_26; // [derived]
 /// An iteration ends when the noise level changes by less than this factor.
 const SETTLED: f64 = 1.01; // [algorithmic]
-/// If neighbours scatter by more than this part of the model's variance, they share no noise.
+/// If the scatter of neighbours exceeds this part of the model's variance, neighbours share no noise.
 const UNSMOOTHED: f64 = 0.85; // [tuned]
-/// At least this part of all triples lies on smooth surfaces in any image. If fewer are within [`SMOOTH_SIGMAS`], the noise model
+/// Least share of all triples that lie on smooth surfaces, in any image. If fewer are within [`SMOOTH_SIGMAS`], the noise model
 /// is far too small.
 const SMOOTH: f64 = 0.25; // [tuned]
 /// The quantile [`SMOOTH`] of chi squared with one degree of freedom.
 const SQUARE_OF_SMOOTH: f64 = 0.101_53; // [derived]
-/// Smallest ratio between the mean depths of the far and the near half at which the model's growth is replaced: two levels at one
-/// depth tell no growth.
+/// Smallest ratio between the mean depths of the far and the near half at which the model's growth is replaced: two levels at
+/// nearly one depth do not determine a growth.
 const DISTANT: f64 = 1.15; // [algorithmic]
-/// The logarithm of the ratio of the noise levels has to exceed zero by so many of its standard deviations.
+/// Fewest standard deviations by which the logarithm of the ratio of the noise levels of both halves has to differ from zero.
 const SURE: f64 = 3.5; // [sigmas]
-/// One sample in so many is nearer than the depths that are told as a range, and one in so many farther.
+/// [`NoiseSamples::range`] leaves out one sample in this many at either end.
 const OUTER: usize = 20; // [algorithmic]
-/// Most rounds in which a noise model is fitted to both halves, or curves are looked at again: each round comes closer to the
+/// Most rounds of fitting a noise model to both halves, or of fitting curves with a new level: each round comes closer to the
 /// noise.
 const ROUNDS: usize = 4; // [algorithmic]
 
-/// What some pixels tell: their depth in metres, and a square in variances of the model.
+/// A sample of the noise: its depth in metres, and a squared residual in variances of the model.
 #[derive(Clone, Copy, Debug)]
 struct NoiseSample {
     depth: f64,
@@ -67,8 +68,8 @@ pub(crate) struct NoiseSamples {
 }
 
 impl NoiseSamples {
-    /// The range of depths in the image that was looked at last: one in [`OUTER`] of its smooth places is nearer, and one in as
-    /// many farther. `None` where there are too few.
+    /// Returns the range of depths in the last image: one in [`OUTER`] of its samples is nearer, and as many are farther. `None`
+    /// where there are too few.
     pub fn range(&mut self) -> Option<[f64; 2]> {
         let count = self.of_neighbors.len();
         let outer = count / OUTER;
@@ -78,7 +79,7 @@ impl NoiseSamples {
     }
 }
 
-/// The half of an image that is nearer, or farther.
+/// The nearer or the farther half of an image.
 #[derive(Clone, Copy, Debug)]
 struct Half {
     /// Mean depth, in metres.
@@ -88,7 +89,7 @@ struct Half {
     scatter: f64,
 }
 
-/// The noise of an image with this header; `view` is turned to its rows.
+/// Estimates the noise of an image with this header; turns `view` to its rows.
 pub(crate) fn estimate(
     view: &mut View,
     (header, image): (&Header, &[u16]),
@@ -124,7 +125,7 @@ pub(crate) fn estimate(
     noise
 }
 
-/// The noise of an image whose halves differ: a model is put through both, until they no longer do by it.
+/// Estimates the noise of an image whose halves differ: fits a noise model through both, until the halves agree with it.
 fn of_another_growth(
     view: &View,
     halves: &[Half; 2],
@@ -154,18 +155,18 @@ fn of_another_growth(
     NoiseEstimate { neighbour_model, variance_ratios, ..NoiseEstimate::nominal(model) }
 }
 
-/// Whether the noise of what is near and of what is far surely differs from the model by different factors.
+/// Returns whether the noise of the near and of the far half surely differs from the model by different factors.
 fn differ([near, far]: &[Half; 2]) -> bool {
     let sigma = (2.0 / near.count + 2.0 / far.count).sqrt();
     let ratio = (near.scatter / far.scatter).ln().abs();
     let are_told = near.count.min(far.count) >= MIN_TRIPLES as f64;
-    // What is quieter than its model may be smoothed, and shows less noise than it has.
+    // Noise below the model may be smoothed, and then neighbours show less than there is.
     let are_smoothed = near.scatter.min(far.scatter) <= UNSMOOTHED;
     are_told && !are_smoothed && far.depth > DISTANT * near.depth && ratio > SURE * sigma
 }
 
-/// The model that at two depths has the standard deviations that belong to `variance`, times these factors, and that grows with
-/// the square of the depth.
+/// Returns the model that has at two depths the standard deviations of `variance` times these factors, and that grows with the
+/// square of the depth.
 fn through(depths: [f64; 2], factors: [f64; 2], variance: impl Fn(f64) -> f64) -> NoiseModel {
     let [near, far] = [0, 1].map(|i| factors[i] * variance(depths[i]).sqrt());
     let [near_square, far_square] = depths.map(|depth| depth * depth);
@@ -175,11 +176,11 @@ fn through(depths: [f64; 2], factors: [f64; 2], variance: impl Fn(f64) -> f64) -
     NoiseModel { floor_m, growth_per_m, knee_m: 0.0, step_per_m: 0.0 }
 }
 
-/// Looks at threes of pixels that lie close together.
+/// Samples triples of pixels that lie close together.
 ///
-/// Along a line of the image a plane's inverse depth is linear, so `b (b / a + b / c - 2)` of three depths in even steps is
-/// noise alone, of six times the variance of one. The depth of a sample is the mean of the three, of which that difference is
-/// independent: halves that were told apart by the depth of the middle one would be told apart by its noise.
+/// On a plane the inverse depth is linear along a line of the image. So `b (b / a + b / c - 2)` of three depths in even steps is
+/// noise alone, of six times the variance of one depth. The depth of a sample is the mean of the three, which is independent of
+/// that difference. The depth of the middle pixel is not: halves divided by it would be divided by its noise.
 fn look_at_neighbors(view: &View, image: &[u16], samples: &mut Vec<NoiseSample>) {
     samples.clear();
     let apart = ((TRIPLE_SPACING / view.pitch()).ceil() as usize).min(view.length as usize).max(1);
@@ -194,7 +195,7 @@ fn look_at_neighbors(view: &View, image: &[u16], samples: &mut Vec<NoiseSample>)
     }
 }
 
-/// What is nearer than the mean and what is farther, which it puts in this order.
+/// Divides the samples into those nearer than the mean depth and those farther, and puts them in this order.
 fn halves(samples: &mut [NoiseSample]) -> [Half; 2] {
     let mean = samples.iter().map(|sample| sample.depth).sum::<f64>() / samples.len() as f64;
     let near = put_first(samples, |sample| sample.depth < mean);
@@ -205,7 +206,7 @@ fn halves(samples: &mut [NoiseSample]) -> [Half; 2] {
     })
 }
 
-/// Puts some of the samples before the others; returns how many they are.
+/// Puts the samples for which `is_of_them` holds first; returns their number.
 fn put_first(samples: &mut [NoiseSample], is_of_them: impl Fn(&NoiseSample) -> bool) -> usize {
     let mut count = 0;
     for index in 0..samples.len() {
@@ -217,11 +218,11 @@ fn put_first(samples: &mut [NoiseSample], is_of_them: impl Fn(&NoiseSample) -> b
     count
 }
 
-/// The variance that neighbours show, in variances of the model; less than there is, where they have noise in common.
+/// Returns the variance that neighbours show, in variances of the model. It is less than the true one where they share noise.
 ///
-/// Silhouettes and creases are out of reach: the level grows from that of the model, or where this is far too small from
-/// that of the smoothest threes, only as far as the mean square of those within reach confirms it. The order of `samples` may
-/// change.
+/// Silhouettes and creases are kept out: the level starts from that of the model, or from that of the smoothest triples where the
+/// model is far too small, and grows only as far as the mean square of the samples within [`SMOOTH_SIGMAS`] confirms it. The
+/// order of `samples` may change.
 fn scatter(samples: &mut [NoiseSample]) -> f64 {
     let within = |samples: &[NoiseSample], level: f64| {
         let limit = SMOOTH_SIGMAS * SMOOTH_SIGMAS * level;
@@ -232,7 +233,7 @@ fn scatter(samples: &mut [NoiseSample]) -> f64 {
             .fold((0.0, 0.0), |(sum, count), square| (sum + square, count + 1.0))
     };
     let mut level = 1.0;
-    // Where the depths of a sensor go in steps, threes of one depth tell nothing of a model that is far too small.
+    // Where a sensor quantises depth, triples of one depth are zero, which says nothing of a model that is far too small.
     let differing = put_first(samples, |sample| sample.square > 0.0);
     let (differing, smooth) = (&mut samples[..differing], SMOOTH * differing as f64);
     if within(differing, level).1 < smooth {
@@ -248,7 +249,7 @@ fn scatter(samples: &mut [NoiseSample]) -> f64 {
     }
 }
 
-/// Looks at the lines and circles of whole scan lines.
+/// Samples the lines and circles of whole scan lines.
 fn look_at_curves(view: &View, image: &[u16], search: &mut LineSearch, samples: &mut Vec<NoiseSample>) {
     samples.clear();
     let LineSearch { line, curves } = search;
@@ -263,7 +264,8 @@ fn look_at_curves(view: &View, image: &[u16], search: &mut LineSearch, samples: 
     }
 }
 
-/// The part of the model's variance, at most all, that the median of some lines and circles shows; their order may change.
+/// Returns the part of the model's variance that the median of some lines and circles shows, from 0 to 1. The order of `samples`
+/// may change.
 fn share(samples: &mut [NoiseSample], is_of_them: impl Fn(&NoiseSample) -> bool) -> f64 {
     let count = put_first(samples, is_of_them);
     if count == 0 {
@@ -298,7 +300,7 @@ mod tests {
     use conicflow_lab::random::CounterRng;
     use conicflow_messages::Camera;
 
-    /// Samples at these depths, of noise that has so many times the variance of the model.
+    /// Samples at these depths, with `variance` times the variance of the model.
     fn samples(count: u64, depth: impl Fn(u64) -> f64, variance: f64) -> Vec<NoiseSample> {
         let random = CounterRng::new(8, 0);
         let sample = |i: u64| NoiseSample { depth: depth(i), square: variance * random.gaussian(i).powi(2) };
@@ -314,14 +316,14 @@ mod tests {
             assert!((wider.sigma(depth) / kinect.sigma(depth) - factor).abs() < 1e-9, "{wider:?} at {depth} m");
         }
         assert!((wider.sigma(2.0) - (0.0018 + (0.011 - 0.0018) * 3.0 / 8.0)).abs() < 1e-12);
-        // What falls with the depth is taken to be as it is near, and what would be below zero to begin with nothing.
+        // A sigma that falls with depth becomes constant at its near value; a negative sigma at zero depth becomes zero.
         let falling = at([1.0, 3.0], [4.0, 1.0]);
         assert_eq!((falling.growth_per_m, falling.floor_m), (0.0, kinect.sigma(1.0) * 4.0));
         let steep = at([1.0, 3.0], [0.1, 2.0]);
         assert!(steep.floor_m == 0.0 && (steep.sigma(3.0) - 0.011).abs() < 1e-12, "{steep:?}");
     }
 
-    /// Waves of three pixels: threes that lie three pixels apart do not see them, threes of neighbours do.
+    /// Waves of three pixels: triples with a spacing of three pixels do not see them, triples of neighbours do.
     #[test]
     fn threes_lie_as_far_apart_in_the_view_however_many_pixels_that_is() {
         let seen = |fx: f64| {
@@ -343,7 +345,7 @@ mod tests {
     fn halves_differ_where_more_than_chance_does_at_two_depths_and_neither_is_smoothed() {
         let half = |depth: f64, count: f64, scatter: f64| Half { depth, count, scatter };
         let near = half(1.0, 200.0, 1.0);
-        // Of 200 samples each the logarithm of the ratio scatters by 0.1414.
+        // For 200 samples each the standard deviation of the logarithm of the ratio is 0.1414.
         let ratio = |sigmas: f64| (sigmas * 0.02_f64.sqrt()).exp();
         for (far, expected) in [
             (half(2.0, 200.0, ratio(3.6)), true),
@@ -361,7 +363,7 @@ mod tests {
         assert!(!differ(&[half(1.0, 200.0, UNSMOOTHED), half(2.0, 200.0, 4.0)]));
     }
 
-    /// Neighbours of the near half share most of their noise; its curves tell of more, and those of the far half of nothing new.
+    /// Neighbours of the near half share most of their noise; its curves show more, and those of the far half show nothing new.
     #[test]
     fn of_halves_that_differ_each_has_the_noise_that_its_own_neighbours_and_curves_show() {
         let model = NoiseModel { floor_m: 0.002, ..NoiseModel::IDEAL };
@@ -401,7 +403,7 @@ mod tests {
             let mut smooth = samples(4000, |_| 1.0, variance);
             let alone = scatter(&mut smooth) / variance;
             assert!((0.9..1.1).contains(&alone), "{alone} at {variance}");
-            // A third of the threes have a silhouette or a crease in them.
+            // A third of the triples contain a silhouette or a crease.
             smooth.iter_mut().step_by(3).for_each(|sample| sample.square += 100.0 * variance);
             let among_others = scatter(&mut smooth) / variance;
             assert!((0.85..1.15).contains(&among_others), "{among_others} at {variance}");
@@ -421,7 +423,7 @@ mod tests {
         assert_eq!([of(&[-1.0; 3], 9.0), of(&[2.0; 3], 9.0), of(&[0.5], 0.0)], [0.0, 1.0, 1.0]);
     }
 
-    /// Each row steps once, by up to 20 mm: noise of eight times the true one hides these steps.
+    /// Each row steps once, by up to 20 mm: eight times the true noise hides these steps.
     #[test]
     fn a_model_that_is_far_too_noisy_does_not_take_the_steps_between_surfaces_for_noise() {
         let camera = Camera { width: 320, height: 120, fx: 500.0, fy: 500.0, cx: 159.5, cy: 59.5 };
@@ -447,7 +449,7 @@ mod tests {
     #[test]
     fn one_in_twenty_is_nearer_than_what_is_near_and_farther_than_what_is_far() {
         let range = |count: u64| {
-            // In no order: 37 has no factor in common with the counts.
+            // In scrambled order: 37 has no factor in common with the counts.
             let of_neighbors = samples(count, |i| (i * 37 % count) as f64, 1.0);
             NoiseSamples { of_neighbors, of_curves: Vec::new() }.range()
         };

@@ -1,69 +1,70 @@
-//! How many neighbouring pixels share their noise, along rows and along columns, as the planes in the image show it.
+//! Estimates how many neighbouring pixels share their noise, along rows and along columns, from the planes in the image.
 //!
-//! A camera that compares windows of two images, or a driver that smooths, gives neighbours the same errors, over blobs of
-//! up to 20 pixels. Pixels that lie close together do not show these; what the plane leaves of a square of the image does:
-//! the inverse depth of a plane is linear in the pixel. The autocorrelation along rows and columns, of which all counts
-//! before it vanishes (Geyer, "Practical Markov chain Monte Carlo", 1992), tells how many pixels count as one.
+//! A camera that compares windows of two images, or a driver that smooths, gives neighbours the same errors, over blobs of up to
+//! 20 pixels. Pixels that lie close together do not show these errors, but the residuals of a square of the image from a plane
+//! do: the inverse depth of a plane is linear in the pixel. The number of pixels that count as one is the integrated
+//! autocorrelation of the residuals along rows and columns, up to where the autocorrelation vanishes (after Geyer, "Practical
+//! Markov chain Monte Carlo", 1992).
 
 use super::view::View;
 use conicflow_messages::is_measured;
 use nalgebra::{Matrix3, Vector3};
 
-/// A square has so many pixels along its side, in an image of [`USUAL_WIDTH`]: three of the longest blobs.
+/// Side of a square in pixels, in an image of [`USUAL_WIDTH`]: three of the longest blobs.
 const SIDE: u32 = 64; // [algorithmic]
-/// Width of the image, in pixels, for which [`SIDE`] is given: blobs are as much longer as an image is wider.
+/// Width of the image, in pixels, for which [`SIDE`] is given: the length of blobs is proportional to the width of an image.
 const USUAL_WIDTH: u32 = 640; // [algorithmic]
 /// Fewest and most pixels along the side of a square.
 const SIDES: [u32; 2] = [24, 128]; // [algorithmic] [algorithmic]
-/// The plane of a square is fitted to so many pixels along each of its sides, or a few more.
+/// Number of samples along each side of a square for the fit of its plane, or a few more.
 const SAMPLES: u32 = 16; // [algorithmic]
-/// A square is looked at if this part of its samples is measured, and a line of it if this part of its pixels is. If there are
-/// not enough of these, as in an image that is full of holes, the second part will do.
+/// Least part of a square's samples, and of a line's pixels, that has to be measured. If too few squares reach the first value,
+/// as in an image that is full of holes, the second one applies.
 const MEASURED: [f64; 2] = [0.9, 0.5]; // [algorithmic] [algorithmic]
-/// The flattest of all squares is this part of them: at least these show nothing but planes.
+/// Part of all squares that counts as flat: the flattest of them, which show nothing but planes.
 const FLAT: f64 = 0.15; // [tuned]
-/// A square whose mean square residual exceeds that of the flat ones by this factor shows no plane, and a line of a square shows
-/// more than the plane. The mean square of 20 blobs, as many as a square has, scatters by a third: these are three standard
-/// deviations.
+/// Limit on the mean square residual of a square, and of a line in a square, as a multiple of that of the flat squares: beyond it
+/// the square is no plane, and the line meets more than the plane. The mean square of 20 blobs, as many as a square has, scatters
+/// by a third, so the limit is three standard deviations.
 const MAX_SQUARE_RATIO: f64 = 2.0; // [sigmas]
-/// Fewest planes that tell the noise.
+/// Fewest planes from which the noise is estimated.
 const MIN_PLANES: usize = 4; // [algorithmic]
-/// Where parabolas leave less than this part of what lines are off their planes, nothing is flat, as where an object was cut out
-/// of its image: they are taken off. Of recorded rooms, tables and rocks they leave 0.37 or more, of leaves close before a camera
-/// more than 0.2, of a ball without a background before a time-of-flight camera 0.06.
+/// If parabolas leave less than this part of the residuals of lines from their planes, nothing in the image is flat, as where an
+/// object was cut out of it, and the parabolas are subtracted. In recordings of rooms, tables and rocks they leave 0.37 or more,
+/// of leaves close to a camera more than 0.2, of a ball without a background before a time-of-flight camera 0.06.
 const UNBENT: f64 = 0.2; // [measured]
-/// Number of rows and of columns of a square of which the correlation is computed.
+/// Number of rows and of columns of a square whose autocorrelation is computed.
 const LINES_PER_SQUARE: u32 = 4; // [algorithmic]
 /// Largest distance in pixels at which a correlation is computed: half of the largest square.
 const FARTHEST: usize = SIDES[1] as usize / 2; // [derived]
-/// Correlations up to this count as zero: chance makes them, and so do surfaces that are not quite even.
+/// Autocorrelations up to this count as zero: chance causes them, and so do surfaces that are not quite even.
 const CHANCE: f64 = 0.1; // [tuned]
-/// Largest number of squares of which the correlation is computed.
+/// Largest number of squares whose autocorrelation is computed.
 const MAX_SQUARES: usize = 16; // [algorithmic]
-/// Upper bound of the part of the noise that the plane takes with it; it keeps the correction finite.
+/// Upper bound of the part of the noise that the fit of a plane absorbs, which keeps the correction finite.
 const MOST_TAKEN: f64 = 0.5; // [algorithmic]
-/// Where no plane is seen: what a Kinect v1 shows at 1 m. In three recordings the autocorrelations that `noise_estimator` tells
-/// add up to about 6.6 to 7.8 pixels along rows, and to 3.5 to 6.2 along columns (up to 3 m).
+/// Result where no plane is seen: that of a Kinect v1 at 1 m. In three recordings the autocorrelations that `noise_estimator`
+/// prints add up to about 6.6 to 7.8 pixels along rows, and to 3.5 to 6.2 along columns (up to 3 m).
 pub(super) const UNSEEN: [f64; 2] = [7.0, 4.0]; // [measured]
 
 /// A square of the image with the plane through it.
 #[derive(Clone, Copy, Debug)]
 struct Square {
     corner: [u32; 2],
-    /// Inverse depth at the corner, and its growth along u and v, per pixel.
+    /// Inverse depth at the corner, in 1/m, and its change per pixel along u and v.
     plane: Vector3<f64>,
     depth: f64,
     /// Mean square residual of the depth, in variances of the model.
     square: f64,
 }
 
-/// Sums over the samples of a cell, a quarter of a square, for the fit of a plane `1/z = a + b x + c y`, x and y counted from its
-/// middle.
+/// Sums over the samples of a cell, a quarter of a square, for the fit of a plane `1/z = a + b x + c y`; x and y count from the
+/// cell's middle.
 #[derive(Clone, Copy, Debug)]
 struct CellSums {
     /// Number of samples, measured or not.
     samples: usize,
-    /// Sums of `[1, x, y, x^2, x y, y^2]` over those that are measured: whole numbers, or quarters, and exact.
+    /// Sums of `[1, x, y, x^2, x y, y^2]` over the samples that are measured: whole numbers, or quarters, and exact.
     places: [f64; 6],
     /// Sums of `[1, x, y]` over the depth, in units of the image.
     right: Vector3<f64>,
@@ -79,17 +80,18 @@ pub(crate) struct PlaneSquares {
     residuals: Vec<Residual>,
 }
 
-/// How far a pixel is off its plane, in standard deviations of the model, and 1; zeros where it is not measured.
+/// Residual of a pixel from its plane, in standard deviations of the model, and 1; zeros where it is not measured.
 type Residual = [f64; 2];
 
 /// Sums of the products of two residuals that are 0, 1, ... pixels apart, and the number of these products.
 type Covariances = [[f64; 2]; FARTHEST + 1];
 
-/// How many neighbours along rows, and along columns, count as one: the mean of many pixels has the variance of one, times this
-/// number, over theirs. `view` is turned to the rows of the image and has its noise. [`UNSEEN`] where there are too few planes.
+/// Returns the number of neighbours along rows, and along columns, that count as one: the mean of many pixels has the variance of
+/// one pixel, times this number, over theirs. `view` is turned to the rows of the image and has its noise. [`UNSEEN`] where there
+/// are too few planes.
 ///
-/// The level of the noise was taken from neighbours, which do not show its longer waves. Planes are uneven by these as well:
-/// where they are so by more than the level explains, more neighbours count as one.
+/// The level of the noise was estimated from neighbours, which do not show its longer waves. Planes do: where they are less even
+/// than the level explains, more neighbours count as one.
 pub(crate) fn correlation_px(view: &View, image: &[u16], buffers: &mut PlaneSquares) -> [f64; 2] {
     let half = (SIDE * view.length / USUAL_WIDTH).clamp(SIDES[0], SIDES[1]) / 2;
     buffers.sum_cells(view, image, half);
@@ -97,8 +99,8 @@ pub(crate) fn correlation_px(view: &View, image: &[u16], buffers: &mut PlaneSqua
 }
 
 impl PlaneSquares {
-    /// How many neighbours count as one, as the squares and lines show it of which this part is measured; `None` where these are
-    /// too few.
+    /// Returns the number of neighbours that count as one, from the squares and lines of which the part `measured` is measured;
+    /// `None` where these are too few.
     fn correlation_of(&mut self, view: &View, image: &[u16], half: u32, measured: f64) -> Option<[f64; 2]> {
         self.fit_squares(view, half, measured);
         let (planes, side) = (planes(&mut self.squares)?, 2 * half);
@@ -141,7 +143,7 @@ impl PlaneSquares {
         Some(px.map(|px| px * level.max(1.0).sqrt()))
     }
 
-    /// Sums up the cells of the image, of so many pixels along their side.
+    /// Sums up the cells of the image; `half` is their side in pixels.
     fn sum_cells(&mut self, view: &View, image: &[u16], half: u32) {
         let [columns, rows] = cells_of(view, half);
         self.cells.clear();
@@ -151,8 +153,8 @@ impl PlaneSquares {
         }
     }
 
-    /// The squares of the image of which this part is measured. Each overlaps its neighbours by half: what four of them have in
-    /// common is summed once, by cells of half their side.
+    /// Fits planes to the squares of the image of which the part `measured` is measured. Each square overlaps its neighbours by
+    /// half, so cells of half their side are summed once and shared by four squares.
     fn fit_squares(&mut self, view: &View, half: u32, measured: f64) {
         let [columns, rows] = cells_of(view, half);
         self.squares.clear();
@@ -167,17 +169,17 @@ impl PlaneSquares {
     }
 }
 
-/// How many cells of this side a view has along its rows, and how many rows of them.
+/// Returns the number of cells along a row of a view, and the number of their rows; `half` is their side in pixels.
 fn cells_of(view: &View, half: u32) -> [usize; 2] {
     [view.length, view.lines].map(|pixels| (pixels / half) as usize)
 }
 
-/// The part that a plane, which has three parameters, leaves of the noise of so many independent points to which it is fitted.
+/// Returns the part of the noise that the fit of a plane, with three parameters, leaves at this number of independent points.
 fn kept(independent: f64) -> f64 {
     1.0 - (3.0 / independent).min(MOST_TAKEN)
 }
 
-/// What a cell of so many pixels along its side adds to the fit of a plane.
+/// Returns the sums of a cell with this side in pixels.
 fn sums(view: &View, image: &[u16], corner: [u32; 2], side: u32) -> CellSums {
     let (step, middle) = ((2 * side / SAMPLES) as usize, 0.5 * f64::from(side));
     let samples = (step / 2..side as usize).step_by(step);
@@ -186,7 +188,7 @@ fn sums(view: &View, image: &[u16], corner: [u32; 2], side: u32) -> CellSums {
         let row = &view.line(image, corner[1] + y as u32)[corner[0] as usize..][..side as usize];
         let (mut x, mut x_sums, mut sums) = ((step / 2) as f64 - middle, [0.0; 3], [0.0; 3]);
         for &depth in row[step / 2..].iter().step_by(step) {
-            // What is not measured adds nothing: no branch on the image's content.
+            // Unmeasured pixels add zeros, so that no branch depends on the image.
             let (seen, nearness) = if is_measured(depth) { (1.0, 1.0 / f64::from(depth)) } else { (0.0, 0.0) };
             x_sums = [x_sums[0] + seen, x_sums[1] + x * seen, x_sums[2] + x * x * seen];
             sums = [sums[0] + nearness, sums[1] + x * nearness, sums[2] + nearness * nearness];
@@ -202,7 +204,7 @@ fn sums(view: &View, image: &[u16], corner: [u32; 2], side: u32) -> CellSums {
     CellSums { samples: samples.len().pow(2), places, right, squares }
 }
 
-/// The plane through a square, of which the cells are as long as `half` its side; `None` where less than this part is measured.
+/// Fits a plane to a square of four cells with the side `half`; `None` where less than the part `measured` is measured.
 fn fit(view: &View, quarters: [&CellSums; 4], corner: [u32; 2], half: u32, measured: f64) -> Option<Square> {
     let samples: usize = quarters.iter().map(|cell| cell.samples).sum();
     let count: f64 = quarters.iter().map(|cell| cell.places[0]).sum();
@@ -212,7 +214,7 @@ fn fit(view: &View, quarters: [&CellSums; 4], corner: [u32; 2], half: u32, measu
     let (middle, off) = (f64::from(half), 0.5 * f64::from(half));
     let (mut places, mut right, mut squares) = ([0.0; 6], Vector3::zeros(), 0.0);
     for (cell, [x, y]) in quarters.into_iter().zip([[-off, -off], [off, -off], [-off, off], [off, off]]) {
-        // From the middle of the cell to that of the square.
+        // Moves the origin from the middle of the cell to that of the square.
         let [n, sx, sy, sxx, sxy, syy] = cell.places;
         let (mx, my) = (sx + x * n, sy + y * n);
         let moved = [n, mx, my, sxx + x * (sx + mx), sxy + y * sx + x * my, syy + y * (sy + my)];
@@ -231,7 +233,7 @@ fn fit(view: &View, quarters: [&CellSums; 4], corner: [u32; 2], half: u32, measu
     (depth > 0.0).then_some(Square { corner, plane, depth, square })
 }
 
-/// Those of the squares that show nothing but a plane.
+/// Returns the squares that show nothing but a plane.
 fn planes(squares: &mut [Square]) -> Option<&[Square]> {
     squares.sort_unstable_by(|a, b| a.square.total_cmp(&b.square));
     let flattest = squares.get(..MIN_PLANES.max((FLAT * squares.len() as f64) as usize))?;
@@ -239,8 +241,8 @@ fn planes(squares: &mut [Square]) -> Option<&[Square]> {
     Some(&squares[..squares.partition_point(|square| square.square <= MAX_SQUARE_RATIO * mean)])
 }
 
-/// Reads how far one of the [`LINES_PER_SQUARE`] rows, or columns, of a square is off the plane; returns how many of its pixels
-/// are measured.
+/// Reads the residuals of one of the [`LINES_PER_SQUARE`] rows, or columns, of a square from its plane; returns the number of
+/// measured pixels.
 fn read_line(
     view: &View,
     image: &[u16],
@@ -260,12 +262,12 @@ fn read_line(
     residuals.iter().map(|[_, seen]| seen).sum()
 }
 
-/// Sum of the squares of a line.
+/// Returns the sum of the squared residuals of a line.
 fn energy(line: &[Residual]) -> f64 {
     line.iter().map(|[residual, _]| residual * residual).sum()
 }
 
-/// Takes the parabola off a line that fits it best.
+/// Subtracts from a line the parabola that fits it best.
 fn unbend(line: &mut [Residual]) {
     let middle = 0.5 * (line.len() as f64 - 1.0);
     let terms = |place: usize| {
@@ -284,8 +286,8 @@ fn unbend(line: &mut [Residual]) {
 }
 
 /// Adds the products of the residuals of a line; `usual` is the mean square of lines. A line of more than [`MAX_SQUARE_RATIO`]
-/// times that is scaled down to as much: it meets what the samples of the plane have missed, such as a thin thing, and would
-/// outweigh all others.
+/// times that is scaled down to it: it meets something that the samples of the plane have missed, such as a thin object, and
+/// would outweigh all others.
 fn add_line(residuals: &[Residual], usual: f64, covariances: &mut Covariances) {
     let pairs = |apart: usize| {
         let pairs = residuals.iter().zip(&residuals[apart..]);
@@ -300,12 +302,12 @@ fn add_line(residuals: &[Residual], usual: f64, covariances: &mut Covariances) {
     }
 }
 
-/// How many neighbours count as one, given their covariances; `None` where there are none.
+/// Returns the number of neighbours that count as one; `None` without any products.
 fn shared(covariances: &Covariances) -> Option<f64> {
     let mean = |[sum, count]: [f64; 2]| if count > 0.0 { sum / count } else { 0.0 };
     let variance = mean(covariances[0]);
     let correlations = covariances[1..].iter().map(|sums| mean(*sums) / variance);
-    // Without noise the correlations are not numbers, and none is added.
+    // Without noise the correlations are NaN, and none is added.
     let sum = correlations.take_while(|correlation| *correlation > CHANCE).sum::<f64>();
     (covariances[0][1] > 0.0).then_some(1.0 + 2.0 * sum)
 }
@@ -319,7 +321,7 @@ mod tests {
     use conicflow_lab::random::CounterRng;
     use conicflow_messages::{Camera, Header, NoiseModel};
 
-    /// An image of 150 x 80 pixels and its view, of a sensor with a standard deviation of 1 mm, in units of 0.1 mm.
+    /// An image of 150 x 80 pixels and its view, of a sensor with a standard deviation of 1 mm; depths are in units of 0.1 mm.
     fn image(depth_m: impl Fn(u32, u32) -> f64) -> (View, Vec<u16>) {
         let camera = Camera { width: 150, height: 80, fx: 150.0, fy: 150.0, cx: 74.5, cy: 39.5 };
         let noise = NoiseModel { floor_m: 0.001, ..NoiseModel::IDEAL };
@@ -330,7 +332,7 @@ mod tests {
         (view, pixels.map(|[x, y]| (depth_m(x, y) * 1e4).round() as u16).collect())
     }
 
-    /// The squares of an image, with this side, of which this part is measured.
+    /// The squares of an image with this side, of which the part `measured` is measured.
     fn squares((view, image): &(View, Vec<u16>), side: u32, measured: f64) -> Vec<Square> {
         let mut buffers = PlaneSquares::default();
         buffers.sum_cells(view, image, side / 2);
@@ -387,11 +389,11 @@ mod tests {
             energy(&line)
         };
         assert!(left(0.0) < 1e-18, "{}", left(0.0));
-        // Of 32 points it takes three with it.
+        // A parabola absorbs three of 32 points.
         assert!((15.0..45.0).contains(&left(1.0)), "{}", left(1.0));
     }
 
-    /// An object without a background fills the image: the noise of its pixels is their own.
+    /// An object without a background fills the image; the noise of its pixels is independent.
     #[test]
     fn what_is_bent_everywhere_shares_no_noise_for_that() {
         let random = CounterRng::new(9, 0);
@@ -420,7 +422,7 @@ mod tests {
     #[test]
     fn a_square_that_lacks_more_of_its_pixels_than_it_may_is_not_looked_at() {
         let squares_with = |(missing, measured): (u32, f64)| {
-            // So many in each block of 12 x 12 pixels, which is a quarter of a square.
+            // `missing` pixels are missing in each block of 12 x 12, which is a quarter of a square.
             let is_missing = |x: u32, y: u32| y % 12 * 12 + x % 12 < missing;
             let image = image(|x, y| if is_missing(x, y) { 0.0 } else { 1.0 / nearness(x, y) });
             squares(&image, 24, measured).len()
@@ -438,14 +440,14 @@ mod tests {
         };
         assert_eq!(left(&[1.0; 3]), None, "too few");
         assert_eq!(left(&[9.0, 1.0, 2.1, 0.5, 1.5, 1.0, 2.0]), Some(vec![0.5, 1.0, 1.0, 1.5, 2.0]));
-        // Of 40 squares the flattest are six: by four of them the level would be half of it.
+        // The flattest of 40 squares are six; the level of four of them would be half as large.
         let many = [&[0.5; 4][..], &[1.9; 6], &[3.0; 30]].concat();
         assert_eq!(left(&many).map(|planes| planes.len()), Some(10));
     }
 
     const PLANE: Square = Square { corner: [12, 24], plane: Vector3::new(0.5, 0.0, 0.0), depth: 2.0, square: 1.0 };
 
-    /// What four lines add of a noise of one variance that changes its sign every `period` pixels.
+    /// The covariances of four lines with a noise of one variance that changes its sign every `period` pixels.
     fn covariances_of(period: u32, direction: usize) -> Covariances {
         let sign = |at: u32| if (at / period).is_multiple_of(2) { 0.001 } else { -0.001 };
         let (view, image) = image(|x, y| 2.0 + sign(if direction == 0 { x } else { y }));
@@ -473,7 +475,7 @@ mod tests {
     #[test]
     fn of_a_line_with_holes_the_pairs_count_that_are_measured() {
         let (view, mut image) = image(|_, _| 2.001);
-        // In the first row that is looked at, three pixels below the corner, and in none of the columns.
+        // The hole is in the first row that is read, three pixels below the corner, and in no column that is read.
         image[27 * 150 + 35] = 0;
         let mut residuals = Vec::new();
         let pairs = [0, 1].map(|direction| {
@@ -504,21 +506,21 @@ mod tests {
             add_line(&line, 1.2, &mut covariances);
             covariances.map(|[sum, count]| sum / count)
         });
-        // Mean squares of 2.25 and 4, of which at most 2.4 counts.
+        // The mean squares are 2.25 and 4, of which at most 2.4 counts.
         assert!((usual[0] - 2.25).abs() < 1e-12 && (wide[0] - 2.4).abs() < 1e-12, "{usual:?} {wide:?}");
         assert!((wide[1] / wide[0] - usual[1] / usual[0]).abs() < 1e-12, "as alike as they are");
         let alone = of(&[&plain]);
         assert!(alone > 2.0, "{alone} of blobs of four");
-        // The wire has nothing in common with its neighbours: as one of eight such lines it takes an eighth of what they share.
+        // The wire is uncorrelated with its neighbours: as one of eight such lines it reduces their correlation by an eighth.
         let among_others = of(&[&[&plain[..]; 7][..], &[&beside_a_wire]].concat());
         assert!((0.8..1.0).contains(&(among_others / alone)), "{among_others} {alone}");
     }
 
-    /// Nothing is measured in some of each 12 columns: of nearly all rows and squares more than a tenth, or more than a half.
+    /// Some of each 12 columns are not measured: of nearly all rows and squares more than a tenth, or more than a half.
     #[test]
     fn an_image_that_is_full_of_holes_tells_as_well_who_shares_noise_but_not_one_that_is_mostly_holes() {
         let random = CounterRng::new(7, 0);
-        // Each noise is that of two neighbours of a row.
+        // Two neighbours of a row share each noise.
         let noise = |x: u32, y: u32| 0.001 * random.gaussian(u64::from(150 * y + x / 2));
         let shared_with = |holes: u32| {
             let (view, image) = image(|x, y| if x % 12 < holes { 0.0 } else { 2.0 + noise(x, y) });

@@ -4,7 +4,7 @@ use conicflow_geometry::Scan;
 use conicflow_messages::ConfigFault;
 use serde::{Deserialize, Serialize};
 
-/// Which scan lines are looked at.
+/// Directions of the scan lines that are searched.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
@@ -19,7 +19,7 @@ pub enum ScanLines {
 }
 
 impl ScanLines {
-    /// The directions of these lines, in the order in which they are looked at.
+    /// Returns the directions in the order in which they are searched.
     pub fn directions(self) -> &'static [Scan] {
         match self {
             Self::Rows => &[Scan::Row],
@@ -34,24 +34,24 @@ impl ScanLines {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default)]
 pub struct ExtractorParameters {
-    /// Scan lines to look at: `rows`, `columns` (for objects that lie) or `both`.
+    /// Scan lines to search: `rows`, `columns` (for objects that lie) or `both`.
     pub scan: ScanLines,
-    /// Looks at every n-th scan line; of images of 960 rows and more that are so noisy that five lines are averaged, at half of
-    /// these.
+    /// Searches every n-th scan line; half of these in images of 960 rows and more that are so noisy that five lines are
+    /// averaged.
     #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 64)))]
     pub line_step: u32,
     /// Number of missing pixels that are bridged inside a run.
     #[cfg_attr(feature = "schema", schemars(range(min = 0, max = 64)))]
     pub max_hole_px: u32,
-    /// Number of points taken off both ends of a run, where pixels mix two depths. The last of them is put back where its ray
-    /// meets the circle through the others.
+    /// Number of points taken off both ends of a run, where pixels mix two depths. The last of them is put back if its ray meets
+    /// the circle through the others.
     #[cfg_attr(feature = "schema", schemars(range(min = 0, max = 16)))]
     pub trim_px: u32,
     /// Smallest radius of a circle through an arc, in metres.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.001, max = 10.0)))]
     pub min_radius_m: f64,
-    /// Largest radius of what is no wall, in metres: lines wider than twice this are none of an object, whose own limits the
-    /// assembler has.
+    /// Largest radius that is not a wall's, in metres: a line wider than twice this belongs to no object; the limits of objects
+    /// are parameters of the assembler.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.001, max = 10.0)))]
     pub max_radius_m: f64,
 }
@@ -63,7 +63,7 @@ impl Default for ExtractorParameters {
 }
 
 impl ExtractorParameters {
-    /// What is wrong with them although each is in its range.
+    /// Returns the contradictions between parameters that are each in range.
     pub fn faults(&self) -> Vec<ConfigFault> {
         let (least, most) = (self.min_radius_m, self.max_radius_m);
         if least < most {

@@ -1,26 +1,26 @@
-//! The rays of a run: measurements of a scan line without a jump or a large hole between them. That is enough to tell
-//! most of the walls and floors, of which nothing else has to be known.
+//! The rays of a run: measurements of a scan line without a jump or a large hole between them. They suffice to recognise most
+//! walls and floors.
 
 use super::line::{Points, RayLine};
 use super::view::{SURROUNDINGS, View};
 use conicflow_geometry::{ArcMoments, ArcSums, LineSums, RaySums, ScanPlane};
 use std::ops::Range;
 
-/// Buffers of a run, used again for the next.
+/// Buffers of a run, used again for the next run.
 #[derive(Debug, Default)]
 pub(super) struct RayBuffers {
     slopes: Vec<f64>,
     variances: Vec<f64>,
 }
 
-/// The rays of a run. Points count from its start.
+/// The rays of a run. Points are counted from its start.
 #[derive(Clone, Debug)]
 pub(super) struct Rays<'a> {
     pub view: &'a View,
     pub line: &'a RayLine,
     pub points: Points<'a>,
     pub length: usize,
-    /// All but those at the ends, where pixels may mix two depths.
+    /// All points except those at the ends, where pixels may mix two depths.
     pub inner: Range<usize>,
     pub stretch: f64,
     slopes: &'a [f64],
@@ -30,10 +30,10 @@ pub(super) struct Rays<'a> {
 
 /// Puts the variances of the depths of a run into `variances`, one for each [`SURROUNDINGS`] points.
 ///
-/// The variance of each measurement is that at the mean depth of its surroundings: were it taken at the measured depth,
-/// it would go with the noise and spoil the moments that it is to correct.
+/// The variance of a measurement is that at the mean depth of its surroundings. If it were taken at the measured depth, it would
+/// correlate with the noise and spoil the moments that it corrects.
 ///
-/// Where fewer lines could be averaged than elsewhere, it is as much greater.
+/// Where fewer lines could be averaged than elsewhere, the variance is larger accordingly.
 fn weigh(view: &View, points: &Points, variances: &mut Vec<f64>) {
     variances.clear();
     let (blocks, rest) = points.depths.as_chunks::<SURROUNDINGS>();
@@ -49,7 +49,7 @@ fn weigh(view: &View, points: &Points, variances: &mut Vec<f64>) {
 }
 
 impl<'a> Rays<'a> {
-    /// Those of a run of a line that was read.
+    /// Creates the rays of a run of a line.
     pub fn new(view: &'a View, line: &'a RayLine, index: usize, buffers: &'a mut RayBuffers) -> Self {
         let points = line.run(view, index);
         let RayBuffers { slopes, variances } = buffers;
@@ -60,7 +60,7 @@ impl<'a> Rays<'a> {
         Self { view, line, points, length, inner, stretch, slopes, variances }
     }
 
-    /// The plane of the scan line.
+    /// Returns the plane of the scan line.
     pub fn plane(&self) -> &ScanPlane {
         &self.line.plane
     }
@@ -70,19 +70,19 @@ impl<'a> Rays<'a> {
         self.points.pixels[point]
     }
 
-    /// A point in the plane of the scan line, in metres.
+    /// Returns a point in the plane of the scan line, in metres.
     pub fn point(&self, point: usize) -> [f64; 2] {
         let (slope, depth) = (self.slopes[point], self.points.metres[point]);
         [slope * depth, self.stretch * depth]
     }
 
-    /// Distance of the ends, in metres.
+    /// Returns the distance between the ends, in metres.
     pub fn width(&self) -> f64 {
         let (a, b) = (self.point(0), self.point(self.length - 1));
         ((a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2)).sqrt()
     }
 
-    /// Slopes, depths and variance of some points, in parts of one variance each.
+    /// Returns the slopes, depths and variance of some points, in parts with one variance each.
     #[inline]
     pub fn parts(&self, points: Range<usize>) -> impl Iterator<Item = (&'a [f64], &'a [f64], f64)> {
         let (rays, mut from) = (self, points.start);
@@ -94,47 +94,47 @@ impl<'a> Rays<'a> {
         })
     }
 
-    /// All sums of an interval.
+    /// Returns all sums over an interval.
     pub fn all_sums(&self, points: Range<usize>) -> RaySums {
         RaySums::of(self.parts(points))
     }
 
-    /// Moments of an interval, for lines and circles.
+    /// Returns the moments of an interval for fits of lines and circles.
     pub fn moments(&self, points: Range<usize>) -> ArcMoments {
         let count = points.len() as f64;
         ArcSums::of(self.parts(points), self.stretch * self.stretch).moments(count, self.stretch)
     }
 
-    /// The sums of an interval that its line needs.
+    /// Returns the sums over an interval that a line fit needs.
     pub fn line_sums(&self, points: Range<usize>) -> LineSums {
         LineSums::of(self.parts(points))
     }
 
-    /// Mean variance of some points, in that of points over which all lines were averaged.
+    /// Returns the mean variance of some points, relative to that of points averaged over all lines.
     pub fn unaveraged(&self, points: Range<usize>) -> f64 {
         self.view.unaveraged(self.points.pairs.get(points).unwrap_or_default())
     }
 
-    /// Variance of the sensor at a point, along the depth.
+    /// Returns the variance of the depth of a point, in square metres.
     #[inline]
     pub fn depth_variance(&self, point: usize) -> f64 {
         self.variances[point / SURROUNDINGS]
     }
 
-    /// The same, were all lines averaged over it.
+    /// Returns that variance as if all lines were averaged at the point.
     pub fn averaged_variance(&self, point: usize) -> f64 {
         let from = point - point % SURROUNDINGS;
         self.depth_variance(point) / self.unaveraged(from..(from + SURROUNDINGS).min(self.length))
     }
 
-    /// Variance of the sensor in the middle of an interval, in the scan plane.
+    /// Returns the variance of a point in the middle of an interval, in the scan plane.
     #[inline]
     pub fn variance(&self, from: usize, to: usize) -> f64 {
         let middle = ((from + to) / 2).min(self.length - 1);
         self.depth_variance(middle) * self.stretch * self.stretch
     }
 
-    /// Largest mean square error of the points of an interval that noise accounts for.
+    /// Returns the largest mean square error of the points of an interval that noise explains.
     #[inline]
     pub fn limit(&self, from: usize, to: usize) -> f64 {
         self.view.limit(self.variance(from, to), to - from)
@@ -149,8 +149,8 @@ mod tests {
     use conicflow_geometry::Scan;
     use conicflow_messages::{Camera, Header, NoiseModel};
 
-    /// The rays of row 2 of an image of 48 x 8 pixels, whose depths grow by 5 mm from pixel to pixel, from 1.5 m on. `averaged`
-    /// lines are averaged, but over the first eight pixels, above which something else is seen.
+    /// The rays of row 2 of an image of 48 x 8 pixels, whose depths grow by 5 mm from pixel to pixel, starting at 1.5 m.
+    /// `averaged` lines are averaged, except over the first eight pixels, above which there is something else.
     fn looked_at(averaged: u32, check: impl Fn(&View, &Rays)) {
         let camera = Camera { width: 48, height: 8, fx: 40.0, fy: 40.0, cx: 19.5, cy: -37.0 };
         let mut view = View::with(ExtractorParameters { trim_px: 2, ..ExtractorParameters::default() });
@@ -185,7 +185,7 @@ mod tests {
     #[test]
     fn points_lie_in_the_plane_of_the_line_and_those_at_the_ends_are_outer_ones() {
         looked_at(1, |_, rays| {
-            // The plane leans by 39 pixels of 40.
+            // The plane is 39 pixels below the principal point, with a focal length of 40.
             assert!((rays.stretch - (1.0 + (39.0_f64 / 40.0).powi(2)).sqrt()).abs() < 1e-12);
             let at = |x: f64| [(x - 19.5) / 40.0 * (1.5 + 0.005 * x), rays.stretch * (1.5 + 0.005 * x)];
             let ([x, y], [a, b], [c, d]) = (at(7.0), at(0.0), at(47.0));

@@ -1,7 +1,7 @@
-//! Why arcs are no ellipses.
+//! Reasons for which arcs are rejected.
 
 crate::rejections! {
-    /// Why an arc is turned down.
+    /// The reason for which an arc is rejected.
     ArcRejection, ArcRejections:
     FewPoints => "arcs of too few points",
     Line => "arcs that a line explains",

@@ -1,20 +1,20 @@
-//! A run with its running sums, from which any interval's line and circle come by one subtraction.
+//! A run with running sums, from which lines and circles through any interval follow by one subtraction.
 
 use super::rays::Rays;
 use super::view::SURROUNDINGS;
 use conicflow_geometry::{ArcMoments, ArcSums};
 use std::ops::Deref;
 
-/// Fewest points to which a curve is fitted first: two more than a circle has parameters.
+/// Fewest points of the first fit of a curve: two more than a circle has parameters.
 pub(super) const FIRST_FIT: usize = 5; // [algorithmic]
 /// Fewest points of an arc: one more than a circle has parameters.
 pub(super) const MIN_ARC_POINTS: usize = 4; // [algorithmic]
 
-/// A run, ready for fits.
+/// A run with the sums for fits.
 #[derive(Debug)]
 pub(super) struct Run<'a> {
     rays: Rays<'a>,
-    /// Running sums, beginning with nothing.
+    /// Running sums, starting with 0.
     sums: &'a [ArcSums],
 }
 
@@ -40,7 +40,7 @@ impl<'a> Run<'a> {
         Self { rays, sums }
     }
 
-    /// Moments of an interval, for lines and circles.
+    /// Returns the moments of an interval for fits of lines and circles.
     #[inline]
     pub fn moments(&self, from: usize, to: usize) -> ArcMoments {
         self.sums_between(from, to).moments((to - from) as f64, self.stretch)
@@ -51,19 +51,19 @@ impl<'a> Run<'a> {
         self.sums[to].since(&self.sums[from])
     }
 
-    /// Mean square distance of an interval from its line of least squares.
+    /// Returns the mean square distance of an interval from its line of least squares.
     #[inline]
     pub fn line_square(&self, from: usize, to: usize) -> f64 {
         self.sums_between(from, to).line_square((to - from) as f64, self.stretch)
     }
 
-    /// Whether a line explains the points of an interval.
+    /// Returns whether a line explains the points of an interval.
     #[inline]
     pub fn is_line(&self, from: usize, to: usize) -> bool {
         self.line_square(from, to) <= self.limit(from, to)
     }
 
-    /// Whether a circle explains them.
+    /// Returns whether a circle explains the points of an interval.
     #[inline]
     pub fn is_circle(&self, from: usize, to: usize) -> bool {
         let limit = self.limit(from, to);
@@ -71,7 +71,7 @@ impl<'a> Run<'a> {
     }
 }
 
-/// Adds points of one variance to the running sums, and keeps every state.
+/// Adds points of one variance to the running sums, and stores each state.
 #[inline]
 fn add_part(
     sums: &ArcSums,

@@ -1,4 +1,4 @@
-//! The search for arcs along one scan line: its runs, their segments, and what of these is round.
+//! The search for arcs along one scan line: runs, their segments, and the round ones among these.
 
 use super::arc::{accept, accept_line};
 use super::line::RayLine;
@@ -18,12 +18,12 @@ pub(crate) struct LineSearch {
     pub(super) curves: CurveSearch,
 }
 
-/// The search for the curves of a line that was read.
+/// The search for curves in a line that was read.
 #[derive(Debug, Default)]
 pub(super) struct CurveSearch {
     pub(super) rays: RayBuffers,
     pub(super) sums: Vec<ArcSums>,
-    /// Where a run is cut, its ends included.
+    /// Points at which a run is cut, with its ends.
     cuts: Vec<usize>,
     /// The segments between two of these cuts.
     segments: Vec<Segment>,
@@ -31,8 +31,8 @@ pub(super) struct CurveSearch {
 }
 
 impl LineSearch {
-    /// Cuts the pixels `window` of a scan line into arcs, which it adds to `ellipses`: the line is read and split into runs
-    /// at jumps and holes, a run is cut at its creases and where no one curve explains it, and what is round is an arc.
+    /// Cuts the pixels `window` of a scan line into arcs and adds them to `ellipses`. The line is split into runs at jumps and
+    /// holes; a run is cut at its creases and where no single curve explains it; a round segment is an arc.
     pub fn arcs_of(
         &mut self,
         view: &View,

@@ -1,8 +1,8 @@
 //! Segmentation: a run is cut at its creases, and where neither a line nor a circle explains its points.
 //!
-//! Running sums give the moments of any interval by one subtraction, so an interval grows by galloping and bisection,
-//! with a handful of fits in place of one per point. A segment that grows so takes in what follows, as long as its curve
-//! explains it. So the border between two segments is then moved to where both curves together explain their points best.
+//! Running sums give the moments of any interval by one subtraction, so an interval grows by galloping and bisection, with a few
+//! fits in place of one per point. A growing segment also takes in points of the next one as long as its curve explains them. So
+//! the border between two segments then moves to where both curves together explain their points best.
 
 use super::run::{FIRST_FIT, MIN_ARC_POINTS, Run};
 use super::view::SURROUNDINGS;
@@ -10,27 +10,29 @@ use std::ops::Range;
 
 /// Number of points on each side of a crease that are compared with the three in it.
 const WING: usize = 5; // [tuned]
-/// Least depth of a crease, in standard deviations of one pixel. The mean of three less the mean of ten scatters by 0.66 of
-/// one, so that this is 5.3 of its own standard deviations.
+/// Least depth of a crease, in standard deviations of one pixel. The difference between the mean of three and that of ten
+/// scatters by 0.66 of one, so this is 5.3 of its own standard deviations.
 const CREASE: f64 = 3.5; // [sigmas]
-/// The depth of a crease is computed in whole numbers, in this part of a unit of the image: 30 is divided by 3 and by 10.
+/// Parts into which a unit of the image is divided for the depth of a crease, which is an integer: 30 is divisible by 3 and by
+/// 10.
 const CREASE_UNIT: f64 = 30.0; // [derived]
-/// Steps by which the border between two segments is moved, in points: by 63 at most, to a point.
+/// Steps by which the border between two segments moves, in points: 63 in total, down to single points.
 const BORDER_STEPS: [usize; 6] = [32, 16, 8, 4, 2, 1]; // [algorithmic]
 
 /// An interval of a run that one curve explains.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Segment {
-    /// The part of the run between two creases that it lies in, without the ends of the run.
+    /// The part of the run between two creases in which it lies, without the ends of the run.
     pub part: [usize; 2],
     pub from: usize,
     pub to: usize,
-    /// Whether it may be an arc: no line explains it, or it is all there is and not too wide.
+    /// Whether it may be an arc: no line explains it, or it is the whole part and not too wide.
     pub is_curve: bool,
 }
 
-/// Puts the ends of the parts of a run between its creases into `cuts`, where an object stands on a floor: only creases
-/// open to the camera count, and only where no circle (as the inside of a bowl) explains the whole run.
+/// Puts the borders of the parts of a run into `cuts`: its ends, and its creases, where an object stands on a floor. Only creases
+/// whose middle is farther away than their sides count, and only if no circle (such as the inside of a bowl) explains the whole
+/// run.
 pub(super) fn cut(run: &Run, cuts: &mut Vec<usize>, depth_sums: &mut Vec<u32>) {
     cuts.clear();
     let Range { start, end } = run.inner;
@@ -41,7 +43,7 @@ pub(super) fn cut(run: &Run, cuts: &mut Vec<usize>, depth_sums: &mut Vec<u32>) {
     cuts.push(end);
 }
 
-/// Running sums of the depths of a run, beginning with nothing; they may wrap around, differences of them do not.
+/// Returns running sums of the depths of a run, starting with 0. The sums may wrap around, but their differences do not.
 fn sum_depths<'a>(depths: &[u16], sums: &'a mut Vec<u32>) -> &'a [u32] {
     sums.resize(sums.len().max(depths.len() + 1), 0);
     let mut sum = 0_u32;
@@ -81,19 +83,19 @@ fn add_creases(run: &Run, creases: &mut Vec<usize>, depth_sums: &mut Vec<u32>) {
     creases.extend(deepest.map(|(_, at)| at));
 }
 
-/// How much deeper the three points about each of `block` are than those to both sides, in parts of a unit of the image.
+/// Returns by how much the three points about each of `block` lie deeper than those on both sides, in units of `1 / CREASE_UNIT`.
 fn crease_depths(sums: &[u32], block: Range<usize>) -> impl Iterator<Item = i32> + Clone {
     // (P[2] - P[-1]) / 3 - (P[-1] - P[-6]) / 10 - (P[7] - P[2]) / 10 of the running sums P, times 30.
     let shifted = |by: usize| sums[block.start + by - WING - 1..].iter().take(block.len());
     let (wings, middles) = (shifted(0).zip(shifted(2 * WING + 3)), shifted(WING).zip(shifted(WING + 3)));
     wings.zip(middles).map(|((before, behind), (from, to))| {
         let (wings, middle) = (behind.wrapping_sub(*before), to.wrapping_sub(*from));
-        // 13 middle - 3 wings, by what every processor does four at a time.
+        // 13 middle - 3 wings, in operations that every processor does four at a time.
         (middle << 4).wrapping_sub(middle.wrapping_add(wings).wrapping_mul(3)).cast_signed()
     })
 }
 
-/// Puts the segments of a part of a run between two creases, one after another, into `segments`.
+/// Cuts a part of a run between two creases into segments and puts them into `segments`, in order.
 pub(super) fn cut_part(run: &Run, part: &Range<usize>, segments: &mut Vec<Segment>) {
     segments.clear();
     let mut from = part.start;
@@ -110,7 +112,7 @@ pub(super) fn cut_part(run: &Run, part: &Range<usize>, segments: &mut Vec<Segmen
     }
 }
 
-/// Where one segment ends and the next one begins, so that the sum of their square errors is least.
+/// Returns the border between two segments at which the sum of their square errors is least.
 fn border(run: &Run, left: &Segment, right: &Segment) -> usize {
     let error = |from: usize, to: usize, is_curve: bool| {
         let square = if is_curve { run.moments(from, to).circle_square() } else { run.line_square(from, to) };
@@ -130,7 +132,7 @@ fn border(run: &Run, left: &Segment, right: &Segment) -> usize {
     border
 }
 
-/// The segment of a part of a run between two creases that begins at `from`; `None` where too few points are left.
+/// Returns the segment that starts at `from`, in a part of a run between two creases; `None` where too few points are left.
 pub(super) fn next_segment(run: &Run, part: &Range<usize>, from: usize) -> Option<Segment> {
     let most = part.end - from;
     let segment =
@@ -144,12 +146,12 @@ pub(super) fn next_segment(run: &Run, part: &Range<usize>, from: usize) -> Optio
     } else {
         let line = gallop(FIRST_FIT.min(most), most, |length| run.is_line(from, from + length));
         let circle = gallop(line, most, |length| run.is_circle(from, from + length));
-        // A circle has one parameter more, and so explains one point more of a line as well.
+        // A circle has one parameter more, so it also explains one point more of a line.
         Some(segment(circle, circle > line + 1))
     }
 }
 
-/// The greatest length up to `most` that is explained, from `least` on, if those explained are without gaps.
+/// Returns the greatest length up to `most` that is explained; `least` is known to be, and the explained lengths have no gaps.
 fn gallop(least: usize, most: usize, mut explained: impl FnMut(usize) -> bool) -> usize {
     let (mut good, mut bad) = (least.min(most), most + 1);
     while good + 1 < bad {

@@ -39,7 +39,7 @@ fn room(seed: u64) -> (Header, Vec<u16>) {
 #[test]
 fn lines_between_the_coarse_ones_show_as_much_as_those() {
     let arcs = arcs(config(ScanLines::Rows), &render(KINECT_HALF, NoiseModel::KINECT_V1, &[can(0.1, 1.5, 0.2)], 1));
-    // The near side of the can is in rows 64 to 175, of which 64 and 172 are the outermost coarse ones.
+    // The near side of the can is in rows 64 to 175; the outermost coarse lines there are 64 and 172.
     for line in 65..175 {
         let widest = arcs.iter().filter(|arc| arc.line == line).map(|arc| arc.points).max();
         assert!(widest.is_some_and(|points| points > 40), "{widest:?} points in row {line}");
@@ -60,7 +60,7 @@ fn columns_are_the_rows_of_the_turned_image() {
     let Camera { width, height, fx, fy, cx, cy } = header.camera;
     let camera = Camera { width: height, height: width, fx: fy, fy: fx, cx: cy, cy: cx };
     let turned: Vec<u16> = (0..width * height).map(|i| pixels[(i % height * width + i / height) as usize]).collect();
-    // At the same noise level: that of an image is taken from its rows.
+    // The noise level of an image is estimated from its rows, so it is set here.
     let found = |header: &Header, pixels: &[u16], scan| {
         let mut extractor = Extractor::new(config(ScanLines::Both));
         extractor.noise = NoiseEstimate::nominal(header.noise);
@@ -96,7 +96,7 @@ fn lines_that_are_stepped_over_are_not_looked_at() {
     }
 }
 
-/// The arc of a can before a wall in one row of an image, some pixels of which are changed.
+/// The arc of a can before a wall in one row of an image, after `change` has changed pixels of that row.
 fn arc_in_row(row: u32, change: impl FnOnce(&mut [u16])) -> Ellipse {
     let (header, mut pixels) = render(KINECT_HALF, NoiseModel::IDEAL, &[can(0.0, 1.5, 0.08), wall(3.0)], 9);
     let width = header.camera.width as usize;
@@ -159,8 +159,8 @@ fn an_end_that_is_off_the_circle_is_left_off() {
     assert_eq!(wider.last as usize, last, "the ray of the pixel beyond passes the circle");
 }
 
-/// The arc in the middle row of a noisy wall with a board of so many pixels to each side before it, whose middle bends by so
-/// much away from the camera; and how wide the board is, in metres.
+/// The arc in the middle row of a board before a noisy wall, and the width of the board in metres. The board reaches `half`
+/// pixels to each side, and its middle bends away from the camera by `bend` metres.
 fn arc_of_board(half: i32, ends: f64, bend: f64, max_radius_m: f64) -> (Option<Ellipse>, f64) {
     let (header, mut pixels) = render(KINECT_HALF, NoiseModel::KINECT_V1, &[wall(5.0)], 9);
     let (row, middle) = (120, 160);
@@ -175,7 +175,7 @@ fn arc_of_board(half: i32, ends: f64, bend: f64, max_radius_m: f64) -> (Option<E
     (arc, f64::from(2 * half) * ends / header.camera.fx)
 }
 
-/// Noise bends a flat board. That is believed where the board is narrow: many weak arcs together are strong evidence.
+/// Noise bends a flat board. On a narrow board that counts as an arc, because many weak arcs together are strong evidence.
 #[test]
 fn a_flat_board_is_bent_in_more_of_its_rows_where_it_is_narrow() {
     let bent = |width_m: f64| {
@@ -191,8 +191,8 @@ fn a_flat_board_is_bent_in_more_of_its_rows_where_it_is_narrow() {
     assert!(narrow > 5.0 * wide, "{narrow} and {wide}");
 }
 
-/// What bends away from the camera may be an object that noise bends so; what bends towards it far away, where noise is large,
-/// is explained by a line as well.
+/// A surface that bends away from the camera may be an object that noise bends so. Far away, where noise is large, a line
+/// explains one that bends towards the camera as well.
 #[test]
 fn what_is_wider_than_any_object_may_be_is_none_although_jumps_set_it_off() {
     for (half, ends, bend) in [(40, 1.5, 0.04), (22, 4.0, -0.055)] {
@@ -269,7 +269,7 @@ fn a_model_that_grows_wrongly_is_replaced() {
     assert_eq!(seen.model, kinect, "one that grows rightly is not");
 }
 
-/// A scene as a Kinect sees it, with steps of the disparity, whose noise comes from windows of so many pixels.
+/// A scene as a Kinect sees it, with steps of the disparity; `noise_window_px` is the width of the windows that share noise.
 fn shot(scene: Scene, noise_window_px: u32, width: u32, seed: u64) -> (Header, Vec<u16>) {
     let noise = SensorConfig::Table(SensorTable { noise_window_px, ..SensorTable::default() });
     let config = SimulatorParameters { width, height: width / 4 * 3, noise, ..SimulatorParameters::default() };
@@ -280,8 +280,8 @@ fn shot(scene: Scene, noise_window_px: u32, width: u32, seed: u64) -> (Header, V
     (header, pixels)
 }
 
-/// Halves of the image that were told apart by noisy depths would differ in their noise: some pixels of the wall would count as
-/// near because they are off.
+/// If noisy depths divided the image into halves, the noise of the halves would differ: some pixels of the wall would count as
+/// near because of their errors.
 #[test]
 fn a_small_thing_alone_before_a_wall_does_not_change_the_noise() {
     let thing = cylinder(Vector3::z() * 0.8, Vector3::y(), 0.03, 0.15);
@@ -301,7 +301,7 @@ fn halved((header, pixels): &(Header, Vec<u16>)) -> (Header, Vec<u16>) {
     (Header { camera: Camera { width: width / 2, height: height / 2, fx, fy, cx, cy }, ..*header }, pixels)
 }
 
-/// Clutter bends: between pixels that lie twice as far apart in the view, that would look like noise.
+/// Clutter is bent: between pixels with twice the spacing in the view that would look like noise.
 #[test]
 fn half_of_an_image_is_not_noisier() {
     for seed in 0..7 {
@@ -315,7 +315,7 @@ fn half_of_an_image_is_not_noisier() {
     }
 }
 
-/// How many neighbouring pixels share their noise in a room that a sensor with such windows sees.
+/// Number of neighbouring pixels that share their noise in a room, as estimated, for a sensor with windows of this width.
 fn shared_px(noise_window_px: u32, width: u32, seed: u64) -> [f64; 2] {
     let (header, pixels) = shot(random_scene(SceneGroup::Clutter, seed), noise_window_px, width, seed);
     Extractor::new(config(ScanLines::Rows)).estimate_noise(&header, &pixels).correlation_px
@@ -328,7 +328,7 @@ fn as_many_pixels_share_their_noise_as_do() {
         for direction in [0, 1] {
             let mut shared: Vec<_> = rooms.iter().map(|room| room[direction]).collect();
             shared.sort_unstable_by(f64::total_cmp);
-            // Steps of the disparity make part of the noise each pixel's own.
+            // Steps of the disparity give each pixel some noise of its own.
             let (median, all) = (shared[3], f64::from(window));
             assert!((0.6 * all..1.5 * all + 0.5).contains(&median), "{shared:?} of {all}, {width} pixels");
         }
@@ -348,7 +348,7 @@ fn silhouettes_and_creases_are_not_taken_for_noise() {
 fn the_outermost_points_of_an_arc_are_told_as_far_as_they_are_neighbours() {
     let (header, mut pixels) = render(KINECT_HALF, NoiseModel::IDEAL, &[can(0.0, 0.7, 0.2), wall(3.0)], 1);
     let row = 120 * header.camera.width;
-    // Something nearer hides its right half: there its end is not steep.
+    // Something nearer hides its right half, so its end there is not steep.
     pixels.chunks_mut(320).for_each(|row| row[160..].fill((0.4 / header.depth_scale) as u16));
     let mut lengths = BTreeSet::new();
     for hole in 148..160 {
@@ -379,7 +379,7 @@ fn no_point_of_a_short_arc_is_told_at_both_ends() {
     assert!(short.iter().all(|arc| told(arc) == [arc.points as usize / 2; 2]), "{short:?}");
 }
 
-/// What is noisy by so much, from pixel to pixel: a can before a wall, of this width in pixels.
+/// A can before a wall with independent noise of `sigma_m` per pixel, in an image of this width in pixels.
 fn noisy_can(sigma_m: f64, width: u32) -> (Header, Vec<u16>) {
     let noise = NoiseModel { floor_m: sigma_m, ..NoiseModel::IDEAL };
     let scale = f64::from(width) / f64::from(KINECT_HALF.width);
@@ -426,7 +426,7 @@ fn what_could_not_be_averaged_is_as_noisy_as_it_is() {
 fn a_can_in_much_noise_ends_where_it_does() {
     let image = noisy_can(0.02, 640);
     let arcs = arcs(config(ScanLines::Rows), &image);
-    // The silhouette of the can, at the tangents from the camera, on both sides of the middle.
+    // The silhouette of the can: half its width in pixels, between the tangents from the camera.
     let edge = image.0.camera.fx * 0.2 / (2.0_f64.powi(2) - 0.2_f64.powi(2)).sqrt();
     let mut off: Vec<f64> = arcs
         .iter()
@@ -473,7 +473,7 @@ fn after_two_rounds_nothing_is_allocated() {
     assert_eq!(third.count_total, 0, "{third:?}");
 }
 
-/// An image of steps, slopes, holes and noise without sense.
+/// A random image of steps, slopes, holes and noise.
 fn nonsense(seed: u64) -> (Header, Vec<u16>) {
     let mut random = fastrand::Rng::with_seed(seed);
     let (width, height) = (random.u32(1..90), random.u32(1..60));

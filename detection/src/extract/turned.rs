@@ -1,12 +1,12 @@
-//! An image with its columns for rows: they lie one behind another then, as rows do, and are read in the same way.
+//! The transposed image: its columns follow one another as rows do, and are read in the same way.
 
 use std::array::from_fn;
 use wide::u16x8;
 
-/// Number of rows, and of columns, that change places together.
+/// Number of rows, and of columns, that are transposed together.
 const BLOCK: usize = 8; // [algorithmic]
 
-/// Puts the columns of an image of `width` pixels a row one behind another into `columns`.
+/// Writes the columns of an image of `width` pixels per row into `columns`, one after another.
 pub(crate) fn turned<'a>(image: &[u16], width: usize, columns: &'a mut Vec<u16>) -> &'a [u16] {
     let height = image.len() / width;
     columns.resize(image.len(), 0);

@@ -1,4 +1,4 @@
-//! What all scan lines of one direction of a depth image have in common.
+//! Tables and rules that all scan lines of one direction of a depth image share.
 
 use super::averaging::{self, Averaging};
 use super::noise_estimate::NoiseEstimate;
@@ -8,30 +8,30 @@ use conicflow_geometry::{Pinhole, Scan, ScanPlane};
 use conicflow_messages::{Header, NoiseModel, is_measured};
 use std::ops::Range;
 
-/// The limit's `a`: the mean square error of the right curve may exceed zero by so many of its standard deviations.
+/// The limit's `a`: standard deviations by which the mean square error of the right curve may exceed zero.
 const SCATTER: f64 = 2.5; // [sigmas]
-/// The limit's `b`: the noise model may be wrong by this part of its variance.
+/// The limit's `b`: the part of its variance by which the noise model may be wrong.
 const SLACK: f64 = 0.6; // [tuned]
-/// Mean square roughness of any surface, in square metres, and so the least variance of its points: a tenth of a millimetre,
-/// squared. It is for images without noise.
+/// Mean square roughness of any surface, and so the least variance of its points, in square metres: a tenth of a millimetre,
+/// squared. It matters only in images without noise.
 pub(crate) const LEAST_VARIANCE: f64 = 1e-8; // [algorithmic]
-/// Steepest surface between neighbouring pixels, as depth per distance across the view. A steeper step is a jump.
+/// Steepest slope of a surface between neighbouring pixels, as depth per distance across the view. A steeper step is a jump.
 const JUMP_SLOPE: f64 = 3.0; // [tuned]
-/// Steepest surface across a hole, as depth per distance across the view.
+/// Steepest slope of a surface across a hole, as depth per distance across the view.
 const HOLE_SLOPE: f64 = 1.5; // [tuned]
-/// A step on one surface may exceed what its slope explains by so many standard deviations of the sensor.
+/// Standard deviations of the sensor by which a step on one surface may exceed what its slope explains.
 const JUMP_SIGMAS: f64 = 4.0; // [sigmas]
 
 /// Factor that keeps a lower bound below the exact value in spite of rounding.
 const BELOW: f64 = 0.999; // [algorithmic]
-/// The square root of one half, times 2^16, rounded down.
+/// The square root of one half in units of 2^-16, rounded down.
 const ROOT_HALF: u16 = 46_340; // [derived]
 /// Number of neighbours that are tested for jumps together.
 pub(super) const JUMP_BATCH: usize = 64; // [algorithmic]
 /// Number of neighbouring points that share one variance, that at their mean depth.
 pub(super) const SURROUNDINGS: usize = 16; // [algorithmic]
 
-/// The rows or the columns of an image; the tables are used again for the next.
+/// The rows or the columns of an image; the tables are used again for the next image.
 #[derive(Debug)]
 pub(crate) struct View {
     pub parameters: ExtractorParameters,
@@ -40,42 +40,42 @@ pub(crate) struct View {
     pub lines: u32,
     /// Number of pixels of each.
     pub length: u32,
-    /// Every how many lines one is looked at.
+    /// Step between the lines that are searched.
     pub step: u32,
     /// Metres per unit of a pixel.
     pub scale: f64,
     camera: Pinhole,
     /// Model of the sensor.
     pub noise: NoiseModel,
-    /// Variance of the sensor, in variances of its model or, where that is greater, of rounding.
+    /// Variance of the sensor, in variances of its model, or in that of rounding where that is larger.
     level: f64,
-    /// How many neighbouring pixels of a line, and how many lines, share their noise.
+    /// Number of neighbouring pixels of a line, and of lines, that share their noise.
     pub correlation_px: [f64; 2],
-    /// Noise variance of one line, in that of a mean of neighbouring ones.
+    /// Noise variance of one line over that of a mean of neighbouring ones.
     pub averaged_lines: f64,
     /// How neighbouring lines are averaged.
     averaging: Averaging,
-    /// Variance of rounding to the unit of the image: no depth has less.
+    /// Variance of rounding to the unit of the image, in square metres, the lower bound of all variances.
     pub least: f64,
-    /// The rules by which a line is split where it was averaged over 0, 1, ... lines on either side.
+    /// The jump rules of lines that were averaged over 0, 1, ... lines on either side.
     jumps: Vec<JumpRule>,
-    /// Those of rows, and of columns.
+    /// The tables of rows, and of columns.
     tables: [Tables; 2],
 }
 
 /// Tables for the pixels of a line, with the camera and the correlation that they were made for.
 #[derive(Debug, Default)]
 struct Tables {
-    /// Slope of the ray of each pixel.
+    /// Slope of the ray through each pixel.
     slopes: Vec<f64>,
     camera: Option<Pinhole>,
-    /// Largest mean square error of so many points, in variances.
+    /// Limit on the mean square error of 0, 1, ... points, in variances.
     limits: Vec<f64>,
     correlation_px: f64,
 }
 
 impl Tables {
-    /// Makes the tables for lines of so many pixels. What was made for the same already stays.
+    /// Makes the tables for lines of `length` pixels; keeps those that were made for the same arguments.
     fn set(&mut self, camera: Pinhole, scan: Scan, length: u32, correlation_px: f64) {
         let is_as_long = self.slopes.len() == length as usize;
         if !is_as_long || self.camera != Some(camera) {
@@ -120,7 +120,7 @@ impl View {
         self.step = self.parameters.line_step.max(1) * averaging::step(noise.averaged, size);
         (self.scan, self.camera) = (scan, pinhole(&header.camera));
         let ([along, across], averaged) = noise.seen_along(scan);
-        // What is left of the noise of one line, and neighbouring means share.
+        // Variance of a mean over lines relative to that of one line; more lines share the noise of means by its inverse.
         let left = averaging::variance(averaged, across);
         (self.noise, self.level, self.scale) = (noise.model, left * noise.level, header.depth_scale);
         (self.correlation_px, self.averaged_lines) = ([along, across / left], 1.0 / left);
@@ -142,17 +142,17 @@ impl View {
         &self.tables[usize::from(self.scan == Scan::Column)]
     }
 
-    /// Distance at one metre between neighbouring pixels of a line, in metres.
+    /// Returns the distance between neighbouring pixels of a line at a distance of one metre, in metres.
     pub fn pitch(&self) -> f64 {
         self.camera.pixel_pitch(self.scan)
     }
 
-    /// The plane of a scan line.
+    /// Returns the plane of a scan line.
     pub fn plane(&self, line: u32) -> ScanPlane {
         self.camera.plane(self.scan, f64::from(line))
     }
 
-    /// Slopes of the rays through some pixels; `buffer` is for those of pixels with holes between them.
+    /// Returns the slopes of the rays through some pixels; `buffer` is for pixels with holes between them.
     #[inline]
     pub fn slopes<'a>(&'a self, pixels: &[u32], buffer: &'a mut Vec<f64>) -> &'a [f64] {
         let [first, last] = [pixels.first(), pixels.last()].map(|pixel| pixel.map_or(0, |&pixel| pixel as usize));
@@ -165,14 +165,15 @@ impl View {
         buffer
     }
 
-    /// The pixels of a scan line, of an image whose scan lines lie one behind another.
+    /// Returns the pixels of a scan line of an image whose scan lines follow one another.
     pub fn line<'a>(&self, image: &'a [u16], line: u32) -> &'a [u16] {
         let length = self.length as usize;
         &image[line as usize * length..][..length]
     }
 
-    /// The pixels `window` of a scan line, of an image whose scan lines lie one behind another. Where noise asks for it they are
-    /// averaged over neighbouring lines, and the second slice has for each pixel over how many on either side; else it is empty.
+    /// Returns the pixels `window` of a scan line, of an image whose scan lines follow one another. Where noise requires it, they
+    /// are averaged over neighbouring lines; then the second slice has the number of lines on either side for each pixel, else it
+    /// is empty.
     pub fn depths<'a>(
         &self,
         image: &'a [u16],
@@ -189,64 +190,66 @@ impl View {
         for buffer in [&mut *means, &mut *pairs] {
             buffer.resize(buffer.len().max(length), 0);
         }
-        // As many on one side as on the other.
+        // The same number on either side.
         let reach = self.averaging.reach().min(line).min(self.lines - 1 - line);
         self.averaging.average(&self.jumps[0].least, reach, beside, &mut means[..length], &mut pairs[..length]);
         (&means[..length], &pairs[..length])
     }
 
-    /// Mean variance of pixels over which so many lines on either side were averaged, in that of pixels over which all were.
+    /// Returns the mean variance of pixels, relative to that of pixels averaged over all lines; `pairs` has the number of lines
+    /// on either side over which each was averaged.
     pub fn unaveraged(&self, pairs: &[u16]) -> f64 {
         self.averaging.variance(pairs)
     }
 
-    /// The rule by which a line is split where it was averaged over so many lines on either side; `None`: over all.
+    /// Returns the jump rule of a line that was averaged over `pairs` lines on either side; `None`: over all.
     pub fn jumps(&self, pairs: Option<u16>) -> &JumpRule {
         let all = self.jumps.len() - 1;
         &self.jumps[pairs.map_or(all, usize::from)]
     }
 
-    /// Depth of a pixel, in metres, if it is inside the image, whose scan lines lie one behind another, and measured.
+    /// Returns the depth of a pixel in metres; `None` outside the image or without a measurement. The image's scan lines follow
+    /// one another.
     pub fn depth(&self, image: &[u16], line: u32, pixel: i64) -> Option<f64> {
         let pixel = u32::try_from(pixel).ok().filter(|pixel| *pixel < self.length)?;
         let raw = self.line(image, line)[pixel as usize];
         is_measured(raw).then(|| f64::from(raw) * self.scale)
     }
 
-    /// Variance of a depth, in square metres.
+    /// Returns the variance of a depth, in square metres.
     #[inline]
     pub fn variance(&self, depth: f64) -> f64 {
         (self.level * self.noise.variance(depth).max(self.least)).max(self.least)
     }
 
-    /// Noise at a depth between neighbouring pixels of a line, in steps of the steepest surface from one to the next.
+    /// Returns the noise of a depth in units of the step that the steepest surface makes between neighbouring pixels.
     pub fn noise_in_steps(&self, depth: f64) -> f64 {
         let step = JUMP_SLOPE * depth * self.pitch();
         JUMP_SIGMAS * self.variance(depth).sqrt() / step
     }
 
-    /// Number of lines to average in an image whose depths lie in this range: where noise is in steps, it is greatest at one end.
+    /// Returns how many lines to average in an image with depths in this range; noise in steps is largest at one end of it.
     pub fn lines_to_average(&self, depths: Option<[f64; 2]>) -> u32 {
         let [_, across] = self.correlation_px;
         let lines = |depth: f64| averaging::lines(self.noise_in_steps(depth), across);
         depths.map_or(1, |depths| depths.map(lines).into_iter().max().unwrap_or(1))
     }
 
-    /// Largest mean square error of `points` points that noise of this variance accounts for.
+    /// Returns the largest mean square error of `points` points that noise of this variance explains, in square metres.
     #[inline]
     pub fn limit(&self, variance: f64, points: usize) -> f64 {
         variance * self.tables().limits[points] + LEAST_VARIANCE
     }
 }
 
-/// Where the pixels of a line are put together; used again for the next.
+/// Buffers for the pixels of a line.
 #[derive(Debug, Default)]
 pub(crate) struct DepthBuffer {
     means: Vec<u16>,
     pairs: Vec<u16>,
 }
 
-/// Whether two measurements in a row may lie on one surface.
+/// Decides whether two measurements in a row may lie on one surface.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct JumpRule {
     scale: f32,
@@ -261,8 +264,7 @@ pub(crate) struct JumpRule {
     least: LeastStep,
 }
 
-/// A lower bound of the largest step between neighbours on one surface, in whole numbers: processors compare eight at a
-/// time.
+/// A lower bound of the largest step between neighbours on one surface, in integers, of which processors compare eight at a time.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LeastStep {
     /// In units of the image.
@@ -294,21 +296,21 @@ impl LeastStep {
         noise.saturating_add(slope)
     }
 
-    /// What noise, and what the slope of a surface adds to the step.
+    /// Returns the parts of the step due to noise and due to the slope of a surface.
     #[inline]
     pub fn noise_and_slope(&self, near: u16) -> [u16; 2] {
         let high = |a: u16, b: u16| ((u32::from(a) * u32::from(b)) >> 16) as u16;
         let beyond_knee = near.saturating_sub(self.knee);
         let axial = self.floor.saturating_add(high(high(beyond_knee, beyond_knee), self.growth));
         let quantum = high(high(near, near), self.quantum);
-        // The root of the sum of two squares is at least their sum over that of two.
+        // The root of a sum of two squares is at least the sum of both numbers over the root of two.
         let noise = axial.max(quantum).max(high(axial.saturating_add(quantum), ROOT_HALF));
         [noise, high(near, self.slope)]
     }
 }
 
 impl JumpRule {
-    /// For depths in units of `scale` metres, and pixels that lie `pitch` apart per metre of depth.
+    /// Creates the rule for depths in units of `scale` metres, and pixels with a distance of `pitch` per metre of depth.
     fn new(noise: &NoiseModel, scale: f64, pitch: f64, max_hole_px: u32) -> Self {
         let NoiseModel { floor_m, growth_per_m, knee_m, step_per_m } = *noise;
         Self {
@@ -325,14 +327,13 @@ impl JumpRule {
         }
     }
 
-    /// Whether there is a jump or too large a hole between raw depths a and b that are `pixels` apart.
+    /// Returns whether there is a jump or too large a hole between the raw depths a and b, which are `pixels` apart.
     #[inline]
     pub fn splits(&self, a: u16, b: u16, pixels: u32) -> bool {
         (f32::from(a.abs_diff(b)) > self.largest_step(a.min(b), pixels)) | (pixels > self.max_pixels)
     }
 
-    /// Ones where there may be a jump or a hole behind a measurement, of the first of neighbouring `pixels`: no others
-    /// have to be looked at.
+    /// Returns ones where there may be a jump or a hole between a measurement and the next; the others need no exact test.
     #[inline]
     pub fn doubtful(&self, pixels: &[u32], depths: &[u16]) -> [u8; JUMP_BATCH] {
         let mut doubtful = [0; JUMP_BATCH];
@@ -349,7 +350,7 @@ impl JumpRule {
         doubtful
     }
 
-    /// The largest raw step on one surface from raw depth `near` on; it grows with the depth.
+    /// Returns the largest raw step on one surface from the raw depth `near`; it grows with the depth.
     #[inline]
     fn largest_step(&self, near: u16, pixels: u32) -> f32 {
         let near = f32::from(near) * self.scale;
@@ -409,7 +410,7 @@ mod tests {
         assert!((view.variance(0.3) - 1e-6).abs() < 1e-18, "as noisy as the image is");
     }
 
-    /// Of an image of 40 x 30 pixels; along and across the lines 3 and 2 pixels share their noise.
+    /// A view of an image of 40 x 30 pixels; along and across the lines 3 and 2 pixels share their noise.
     fn view_of_shared_noise(scan: Scan) -> View {
         let camera = Camera { width: 40, height: 30, fx: 50.0, fy: 40.0, cx: 19.5, cy: 14.5 };
         let mut view = View::with(ExtractorParameters::default());
@@ -422,7 +423,8 @@ mod tests {
     #[test]
     fn the_limit_of_a_mean_square_is_that_of_as_many_points_as_share_no_noise() {
         let view = view_of_shared_noise(Scan::Row);
-        // 13 points, of which three share their noise, are five: by 2.5 of sqrt(2 / 5) and 0.6, and the roughness.
+        // 13 points, of which three share their noise, count as five: the limit is 2.5 sqrt(2 / 5) + 0.6 variances, plus the
+        // roughness.
         let expected = 4e-6 * (2.5 * 0.4_f64.sqrt() + 0.6) + 1e-8;
         assert!((view.limit(4e-6, 13) / expected - 1.0).abs() < 1e-12, "{}", view.limit(4e-6, 13));
         let alone = 4e-6 * (2.5 * 2.0_f64.sqrt() + 0.6) + 1e-8;

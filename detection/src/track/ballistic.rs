@@ -1,11 +1,11 @@
-//! Free fall: the motion of a thrown ball, which goes on while nobody sees it, and bounces. A ball that lies does not fall: which of
-//! both it does is told by its sights (`motions.rs`).
+//! Free fall of a thrown ball, which continues while it is unseen, with bounces. A ball at rest does not fall; its detections
+//! decide between the two (`motions.rs`).
 
 use super::filter::Motion;
 use crate::gravity;
 use serde::{Deserialize, Serialize};
 
-/// Standard deviation of the speed after a bounce, as a share of it: no floor is level and no ball the same all around.
+/// Standard deviation of the speed after a bounce, relative to the speed before: no floor is level and no ball perfectly round.
 const BOUNCE_SPREAD: f64 = 0.1; // [tuned]
 
 /// How balls fall.
@@ -33,8 +33,8 @@ impl Default for Ballistic {
 }
 
 impl Ballistic {
-    /// A motion that was predicted without gravity over the last `dt` seconds, with it; a ball of this radius bounces.
-    /// `has_pose`: whether the frame of tracking is the world's.
+    /// Adds gravity, and a bounce of a ball of this radius, to a motion predicted without them over the last `dt` seconds.
+    /// `has_pose`: whether the tracking frame is the world's.
     pub fn fallen(&self, mut motion: Motion, dt: f64, radius: f64, has_pose: bool) -> Motion {
         let up = gravity::unit(self.up, has_pose);
         motion.acceleration = up * -self.gravity_mps2;

@@ -1,4 +1,4 @@
-//! An object of one frame as the filters take it: in the frame of tracking, each parameter with its variance.
+//! A detection: an object of one frame as input of the filters, in the tracking frame, each parameter with its variance.
 
 use super::filter::{Axis, Size};
 use super::parameters::TrackerParameters;
@@ -12,31 +12,31 @@ pub struct Detection {
     pub object: Object,
     /// Its shape.
     pub kind: ObjectKind,
-    /// Centre in the frame of tracking, in metres.
+    /// Centre in the tracking frame, in metres.
     pub position: Vector3<f64>,
     /// Covariance of the centre.
     pub covariance: Matrix3<f64>,
-    /// What it is like, wherever it is.
+    /// Its shape, independent of its place.
     pub shape: ShapeParameters,
-    /// How long after it the state is that it is compared with, in seconds.
+    /// Time from this detection to the state with which it is compared, in seconds.
     pub late_s: f64,
 }
 
-/// The parameters of an object besides its place: each is followed by a filter of its own.
+/// The parameters of an object besides its place; each has its own filter.
 #[derive(Clone, Copy, Debug)]
 pub struct ShapeParameters {
     /// Radius at the centre, in metres.
     pub radius: Size,
     /// Length of the visible part, in metres.
     pub length: Size,
-    /// Axis of a cylinder or cone in the frame of tracking.
+    /// Axis of a cylinder or cone in the tracking frame.
     pub axis: Option<Axis>,
     /// Half-angle of a cone, in radians.
     pub half_angle: Option<Size>,
 }
 
 impl ShapeParameters {
-    /// Those `dt` seconds later: they may have changed by what the configuration says.
+    /// Returns the parameters `dt` seconds later; their variances grow by the drifts of the configuration.
     pub fn predicted(&self, dt: f64, config: &TrackerParameters) -> Self {
         let [axis_drift, half_angle_drift] = [config.drift_axis_deg, config.drift_half_angle_deg].map(f64::to_radians);
         Self {
@@ -49,7 +49,7 @@ impl ShapeParameters {
 }
 
 impl Detection {
-    /// Carries an object into the frame of tracking; what its standard deviations leave out, the configuration adds.
+    /// Transforms an object into the tracking frame, and adds the floors of the configuration to its standard deviations.
     pub fn new(object: &Object, world_from_camera: &IsometryMatrix3<f64>, config: &TrackerParameters) -> Self {
         let kind = object.shape();
         let sigma = &object.sigma;
@@ -74,7 +74,7 @@ impl Detection {
             shape: ShapeParameters {
                 radius: Size::new(object.radius, variance(sigma.radius, radius_floor)),
                 length: Size::new(object.length, variance(sigma.length, config.floor_length_m)),
-                // Of an angle's square each of the two directions across makes half.
+                // Each of the two directions across has half of the mean square angle.
                 axis: direction
                     .map(|axis| Axis::new(axis, 0.5 * variance(sigma.axis, config.floor_axis_deg.to_radians()))),
                 half_angle: kind.has_half_angle().then_some(half_angle),
@@ -83,7 +83,7 @@ impl Detection {
         }
     }
 
-    /// What it tells of the state of an object `late_s` seconds later, in which its shape may change.
+    /// Returns this detection as a measurement of the object's state `late_s` seconds later, with the drift of the shape since.
     pub fn told_later(&self, late_s: f64, config: &TrackerParameters) -> Self {
         Self { late_s, shape: self.shape.predicted(late_s, config), ..self.clone() }
     }
@@ -93,7 +93,7 @@ fn variance(sigma: f64, floor: f64) -> f64 {
     sigma * sigma + floor * floor
 }
 
-/// `R C R' + floor^2 I + along^2 a a'`; of a `C` that is no covariance only the diagonal counts.
+/// Returns `R C R' + floor^2 I + along^2 a a'`; if `C` is no covariance, only its diagonal counts.
 fn position_covariance(
     object: &Object,
     rotation: &Rotation3<f64>,
@@ -111,7 +111,7 @@ fn position_covariance(
     rotated(&Matrix3::from_diagonal(&given.diagonal().map(|variance| variance.max(0.0))), rotation) + added
 }
 
-/// A covariance in a turned frame, kept symmetric.
+/// Returns a covariance in a rotated frame, made symmetric.
 pub fn rotated(covariance: &Matrix3<f64>, rotation: &Rotation3<f64>) -> Matrix3<f64> {
     let turned = rotation.matrix() * covariance * rotation.matrix().transpose();
     (turned + turned.transpose()) * 0.5

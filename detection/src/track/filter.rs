@@ -15,12 +15,13 @@ pub struct Motion {
     pub state: Vector6<f64>,
     /// Its covariance.
     pub covariance: Matrix6<f64>,
-    /// The acceleration that is known for sure, in m/s^2.
+    /// The known acceleration, in m/s^2.
     pub acceleration: Vector3<f64>,
 }
 
 impl Motion {
-    /// An object seen once at `position`, whose speed is unknown but for its standard deviation per axis, in m/s.
+    /// Creates the motion of an object seen once at `position`; `speed_sigma` is the standard deviation of its speed per axis, in
+    /// m/s.
     pub fn new(position: Vector3<f64>, position_covariance: Matrix3<f64>, speed_sigma: f64) -> Self {
         let mut state = Vector6::zeros();
         state.fixed_rows_mut::<3>(0).copy_from(&position);
@@ -30,8 +31,8 @@ impl Motion {
         Self { state, covariance, acceleration: Vector3::zeros() }
     }
 
-    /// The motion of an object that follows one of several, of these weights: their mean `x`, with the covariance
-    /// `sum w_j (P_j + (x_j - x)(x_j - x)')`.
+    /// Returns the motion of an object that follows one of several motions, with these weights: their mean `x`, with the
+    /// covariance `sum w_j (P_j + (x_j - x)(x_j - x)')`.
     pub fn mixture<'a>(of: impl Iterator<Item = (f64, &'a Self)> + Clone) -> Self {
         let sum: f64 = of.clone().map(|(weight, _)| weight).sum();
         let of = of.map(|(weight, motion)| (weight / sum, motion)).filter(|(weight, _)| *weight > 0.0);
@@ -64,20 +65,21 @@ impl Motion {
         self.covariance.fixed_view::<3, 3>(3, 3).into()
     }
 
-    /// Goes on by `dt` seconds, with acceleration noise of spectral density `density` in m^2/s^3 and no other acceleration.
+    /// Predicts the motion `dt` seconds later, with acceleration noise of spectral density `density` in m^2/s^3 and no known
+    /// acceleration.
     pub fn predict(&mut self, dt: f64, density: f64) {
         self.acceleration = Vector3::zeros();
         self.move_in_time(dt);
         self.blur(dt, density);
     }
 
-    /// Adds what acceleration noise does in `dt` seconds, negative ones for the way back: `F^-1 Q F^-T`, which is `-Q(-dt)`.
+    /// Adds the acceleration noise of `dt` seconds; negative for the way back: `F^-1 Q F^-T`, which is `-Q(-dt)`.
     pub fn blur(&mut self, dt: f64, density: f64) {
         self.covariance += blocks(dt.powi(3) / 3.0, dt.powi(2) / 2.0, dt) * (density * dt.signum());
     }
 
-    /// The same motion `dt` seconds later, or before where that is negative, with no more noise than it has. To measure at
-    /// an earlier time and come back is to measure with `H = [I, -dt I]` in place of `[I, 0]`.
+    /// Moves the motion by `dt` seconds, backwards if negative, without adding noise. Moving back, measuring and moving forward
+    /// again is a measurement with `H = [I, -dt I]` in place of `[I, 0]`.
     pub fn move_in_time(&mut self, dt: f64) {
         let mut transition = Matrix6::identity();
         transition.fixed_view_mut::<3, 3>(0, 3).fill_diagonal(dt);
@@ -86,7 +88,7 @@ impl Motion {
         self.shift(&(self.acceleration * (0.5 * dt * dt)), &(self.acceleration * dt));
     }
 
-    /// Moves on by what is known for sure, in metres and metres per second.
+    /// Adds a known displacement in metres and a known change of velocity in metres per second.
     pub fn shift(&mut self, way: &Vector3<f64>, velocity: &Vector3<f64>) {
         let mut place = self.state.fixed_rows_mut::<3>(0);
         place += way;
@@ -94,26 +96,28 @@ impl Motion {
         speed += velocity;
     }
 
-    /// The same object had its velocity changed at the start of the last `dt` seconds, by `speed_sigma` m/s per axis.
+    /// Returns the motion if its velocity changed at the start of the last `dt` seconds, by an unknown amount of `speed_sigma`
+    /// m/s per axis.
     pub fn kicked(&self, dt: f64, speed_sigma: f64) -> Self {
         let noise = blocks(dt * dt, dt, 1.0) * (speed_sigma * speed_sigma);
         Self { covariance: self.covariance + noise, ..self.clone() }
     }
 
-    /// Whether a measured position can lie within a gate of the squared Mahalanobis distance, which no position does whose distance
-    /// squared is larger than the gate times the trace of the innovation's covariance. That is told faster than the distance itself.
+    /// Returns whether a measured position may lie within the gate, which limits the squared Mahalanobis distance. It cannot if
+    /// the squared distance exceeds the gate times the trace of the innovation's covariance. This test is faster than the
+    /// Mahalanobis distance itself.
     pub fn may_be_within(&self, gate: f64, position: &Vector3<f64>, covariance: &Matrix3<f64>) -> bool {
         let residual2 = (position - self.position()).norm_squared();
         residual2 <= gate * (self.position_covariance().trace() + covariance.trace())
     }
 
-    /// Compares a measured position with the predicted one; `None` if the covariances are not positive definite.
+    /// Returns the innovation of a measured position; `None` if the covariances are not positive definite.
     pub fn innovation(&self, position: &Vector3<f64>, covariance: &Matrix3<f64>) -> Option<Innovation> {
         let spread = Cholesky::new(self.position_covariance() + covariance)?;
         Some(Innovation { residual: position - self.position(), spread })
     }
 
-    /// Takes in a measured position.
+    /// Updates the motion with a measured position.
     pub fn update(&mut self, innovation: &Innovation, covariance: &Matrix3<f64>) {
         let cross: Matrix6x3<f64> = self.covariance.fixed_view::<6, 3>(0, 0).into();
         let gain = cross * innovation.spread.inverse();
@@ -139,7 +143,7 @@ fn symmetric(matrix: &Matrix6<f64>) -> Matrix6<f64> {
     (matrix + matrix.transpose()) * 0.5
 }
 
-/// A measured position against the predicted one.
+/// The innovation of a measured position.
 #[derive(Clone, Debug)]
 pub struct Innovation {
     residual: Vector3<f64>,
@@ -168,27 +172,28 @@ pub struct Size {
 }
 
 impl Size {
-    /// A size measured once.
+    /// Creates a size from its first measurement.
     pub fn new(value: f64, variance: f64) -> Self {
         Self { value, variance }
     }
 
-    /// The size `dt` seconds later; it drifts by `drift` per square root of a second.
+    /// Returns the size `dt` seconds later; it drifts by `drift` per square root of a second.
     pub fn predicted(&self, dt: f64, drift: f64) -> Self {
         Self { variance: self.variance + drift * drift * dt, ..*self }
     }
 
-    /// Squared difference to a measurement, in units of its variance.
+    /// Returns the squared difference to a measurement, in units of its variance.
     pub fn distance2(&self, measured: Self) -> f64 {
         (measured.value - self.value).powi(2) / (self.variance + measured.variance)
     }
 
-    /// The variance that it lacks for a squared difference to a measurement of `gate`; below 0 inside of the gate.
+    /// Returns the additional variance at which the squared difference to a measurement would be `gate`; negative inside the
+    /// gate.
     pub fn lacking(&self, measured: Self, gate: f64) -> f64 {
         (measured.value - self.value).powi(2) / gate - measured.variance - self.variance
     }
 
-    /// Takes in a measurement.
+    /// Updates the size with a measurement.
     pub fn update(&mut self, measured: Self) {
         let gain = gain(self.variance, measured.variance);
         self.value += gain * (measured.value - self.value);
@@ -214,12 +219,12 @@ pub struct Axis {
 }
 
 impl Axis {
-    /// A direction measured once.
+    /// Creates a direction from its first measurement.
     pub fn new(direction: UnitVector3<f64>, variance: f64) -> Self {
         Self { direction, variance }
     }
 
-    /// The axis `dt` seconds later; it turns by `drift` radians per square root of a second, in each direction across.
+    /// Returns the axis `dt` seconds later; it turns by `drift` radians per square root of a second, in each direction across.
     pub fn predicted(&self, dt: f64, drift: f64) -> Self {
         Self { variance: self.variance + drift * drift * dt, ..*self }
     }
@@ -236,7 +241,7 @@ impl Axis {
         self.angle(measured).powi(2) / (self.variance + measured.variance).max(f64::MIN_POSITIVE)
     }
 
-    /// Takes in a measurement, turning towards it on the shortest way: as a line, which is the same turned around.
+    /// Updates the direction with a measurement along the shorter turn: an axis is a line without a sense.
     pub fn update(&mut self, measured: Self) {
         let gain = gain(self.variance, measured.variance);
         let flip = self.direction.dot(&measured.direction) < 0.0;
@@ -246,8 +251,8 @@ impl Axis {
     }
 }
 
-/// A share of the turn from one direction to another. By `atan2` of sine and cosine: an arc cosine is not a number once
-/// rounding carries a product of unit vectors beyond one.
+/// Turns a direction by a share of the angle to another. The angle comes from `atan2` of sine and cosine, because an arc cosine
+/// is NaN once rounding carries a product of unit vectors beyond one.
 fn turned(from: UnitVector3<f64>, to: UnitVector3<f64>, share: f64) -> UnitVector3<f64> {
     let normal = from.cross(&to);
     let angle = normal.norm().atan2(from.dot(&to));
@@ -294,9 +299,8 @@ mod tests {
         assert!((motion.covariance[(4, 4)] / velocity_variance - 1.0).abs() < 1e-6);
     }
 
-    /// In the steady state the gain of a position and of its velocity, `g` and `h`, leave the covariance as it was:
-    /// the velocity's variance loses `h p_pv` to the measurement, the gain times what is predicted of the cross term,
-    /// and wins `q T` in the same time.
+    /// In the steady state the gains of position and velocity, `g` and `h`, leave the covariance as it was: an update takes `h
+    /// p_pv`, the gain times the predicted cross term, from the variance of the velocity, and a prediction adds `q T`.
     #[test]
     fn in_the_steady_state_a_measurement_takes_what_a_step_brings() {
         let (sigma, period, density) = (0.002, 1.0 / 30.0, 0.25);
@@ -340,7 +344,7 @@ mod tests {
         }
     }
 
-    /// Two motions of which the object follows one: mean and covariance are those of numbers drawn half from each.
+    /// An object follows one of two motions, with the probabilities 1/4 and 3/4.
     #[test]
     fn a_mixture_is_as_wide_as_its_motions_lie_apart() {
         let at = |x: f64| Motion::new(Vector3::new(x, 0.0, 2.0), isotropic(0.1), 0.5);

@@ -1,39 +1,39 @@
-//! The life of a track: born at the first sight, confirmed by enough sights, coasting while unseen, lost in the end.
+//! The life cycle of a track: born at the first detection, confirmed by enough detections, coasting while unseen, finally lost.
 
 use super::parameters::TrackerParameters;
 use conicflow_messages::TrackState;
 
-/// What became of a track so far.
+/// The record of a track's hits and misses.
 #[derive(Clone, Debug)]
 pub struct Life {
-    /// Frames since its first sight; those of other cameras count only where they saw it.
+    /// Frames since the first detection; those of other cameras count only if they had a detection.
     pub age: u32,
-    /// Frames since it was last seen, of the camera that saw it last.
+    /// Frames without a detection since the last one, of the camera that had it.
     pub misses: u32,
-    /// Seconds from its last sight to the last frame.
+    /// Time from the last detection to the last frame, in seconds.
     pub unseen_s: f64,
-    /// Seconds since the last frame of the camera that saw it last: others went on.
+    /// Time since the last frame of the camera that saw it last, in seconds, while other cameras went on.
     pub unwatched_s: f64,
-    /// Sights that it still needs to be confirmed; none: it is. The window begins with the first sight and never moves on: by
-    /// its last frame there were either enough sights, or too many misses.
+    /// Detections that are still needed for its confirmation; 0: it is confirmed. The window starts with the first detection and
+    /// never moves: at its last frame there were either enough detections or too many misses.
     needed: u32,
 }
 
 impl Life {
-    /// A track at its first sight.
+    /// Creates the record of a track at its first detection.
     pub fn born(parameters: &TrackerParameters) -> Self {
         let needed = parameters.confirm_hits.saturating_sub(1);
         Self { age: 0, misses: 0, unseen_s: 0.0, unwatched_s: 0.0, needed }
     }
 
-    /// One more frame, in which it was seen.
+    /// Records a frame with a detection.
     pub fn seen(&mut self) {
         self.age = self.age.saturating_add(1);
         (self.misses, self.unseen_s, self.unwatched_s) = (0, 0.0, 0.0);
         self.needed = self.needed.saturating_sub(1);
     }
 
-    /// One more frame, `elapsed_s` seconds later, in which it was not seen.
+    /// Records a frame without a detection, `elapsed_s` seconds later.
     pub fn missed(&mut self, elapsed_s: f64) {
         self.age = self.age.saturating_add(1);
         self.misses = self.misses.saturating_add(1);
@@ -41,19 +41,20 @@ impl Life {
         self.unwatched_s = 0.0;
     }
 
-    /// A frame, `elapsed_s` seconds later, of a camera that was not expected to see it.
+    /// Records a frame, `elapsed_s` seconds later, of a camera that was not expected to see the object.
     pub fn unwatched(&mut self, elapsed_s: f64) {
         self.unseen_s += elapsed_s;
         self.unwatched_s += elapsed_s;
     }
 
-    /// Minus twice the logarithm of the probability that it is seen after it was missed `m` times in a row, to that of one that was
-    /// seen just now: by Laplace's rule of succession `1 / (m + 2)` to `1 / 2`.
+    /// Returns minus twice the logarithm of the probability of a detection after `m` misses in a row, relative to that after
+    /// none: by Laplace's rule of succession `1 / (m + 2)` to `1 / 2`.
     pub fn cost_of_return(&self) -> f64 {
         2.0 * (f64::from(self.misses) / 2.0).ln_1p()
     }
 
-    /// Whether it is to be given up: unseen for too long, or no longer able to be confirmed, or left by its camera.
+    /// Returns whether the track is lost: unseen for too long, or no longer able to be confirmed, or no longer watched by its
+    /// camera.
     pub fn is_lost(&self, parameters: &TrackerParameters) -> bool {
         let TrackerParameters { confirm_window, max_coast_s, .. } = *parameters;
         if self.needed == 0 {
@@ -63,7 +64,7 @@ impl Life {
         self.needed > left || self.unwatched_s > max_coast_s
     }
 
-    /// How far it is to be trusted.
+    /// Returns the state of the track.
     pub fn state(&self) -> TrackState {
         match (self.needed, self.misses) {
             (1.., _) => TrackState::Tentative,
@@ -77,12 +78,12 @@ impl Life {
 mod tests {
     use super::*;
 
-    /// A window of frames, and the sights in it that confirm a track.
+    /// Parameters with a window of frames, and the number of hits in it that confirm a track.
     fn rules(confirm_hits: u32, confirm_window: u32) -> TrackerParameters {
         TrackerParameters { confirm_hits, confirm_window, max_coast_s: 0.25, ..TrackerParameters::default() }
     }
 
-    /// States after each frame of `sights` behind the first; `None` once it is lost. Frames are 0.1 s apart.
+    /// The state after each frame of `sights` that follows the first; `None` once the track is lost. Frames are 0.1 s apart.
     fn live(sights: &str) -> Vec<Option<TrackState>> {
         let rules = rules(3, 5);
         let mut life = Life::born(&rules);
@@ -110,7 +111,8 @@ mod tests {
         assert_eq!(live("-x--").last(), Some(&None));
     }
 
-    /// For all short histories the rules are told here by the whole of each, whose newest frames are looked at anew every time.
+    /// The test checks all short histories against the rule in its plain form: the newest frames of the whole history are counted
+    /// again at each frame.
     #[test]
     fn a_track_is_confirmed_by_enough_sights_of_any_window_and_lost_when_none_can_have_them() {
         for (window, hits) in (1..=6).flat_map(|window| (1..=window).map(move |hits| (window, hits))) {

@@ -1,12 +1,12 @@
 //! The tracker: gives the objects of successive frames an identity, a velocity and a filtered shape.
 //!
-//! Each object has Kalman filters of nearly constant velocity, one for each way in which it may move ([`motions`]). Where the
-//! camera's pose is known, filtering happens in the world and the camera may move; positions and velocities are given in the camera
-//! frame of the present frame, the velocity being that in the world, seen along the camera's axes. Without a pose the camera counts
-//! as standing still, in a world of its own ([`worlds`]); a frame that lacks one takes that of the frame before. Of several cameras
-//! in one world each has its pose, and only the one that saw a target last can miss it; each target has a time of its own, and a
-//! frame that is older than that is compared with where the target was then. Thrown balls may be told to fall and bounce
-//! ([`ballistic`]).
+//! Each object has Kalman filters of nearly constant velocity, one for each way in which it may move ([`motions`]). If the
+//! camera's pose is known, filtering happens in the world and the camera may move. Positions and velocities are reported in the
+//! camera frame of the present frame; the velocity is that in the world, expressed along the camera's axes. A camera without a
+//! pose counts as standing still, in a world of its own ([`worlds`]); a frame that lacks a pose takes that of the frame before.
+//! Each of several cameras in one world has its own pose, and only the camera that saw a target last can miss it. Each target has
+//! its own time; a frame that is older is compared with the target's state at the time of that frame. Balls may fall and bounce
+//! if the parameters say so ([`ballistic`]).
 
 mod association;
 mod ballistic;
@@ -33,11 +33,11 @@ use nalgebra::IsometryMatrix3;
 use target::Target;
 use timeline::{Advance, Timeline};
 
-/// A gap between frames that is at most this many times as long as the one before is usual: nobody could look sooner. After
-/// a longer one no target is found again that was unseen for too long.
+/// A gap between two frames of a camera is usual if it is at most this many times the previous one: no frame could show a target
+/// sooner. Through a usual gap a target is kept even beyond `max_coast_s`.
 const USUAL_GAP: f64 = 1.5; // [tuned]
 
-/// Follows objects from frame to frame, of one camera or of several that tell their poses.
+/// Tracks objects from frame to frame, for one camera or for several cameras with poses.
 pub struct Tracker {
     parameters: TrackerParameters,
     timeline: Timeline,
@@ -45,9 +45,9 @@ pub struct Tracker {
     world_from_camera: Vec<IsometryMatrix3<f64>>,
     has_pose: bool,
     next_id: u64,
-    /// Each at the newest frame that it has taken in.
+    /// Each in its state at the newest frame that it has taken in.
     targets: Vec<Target>,
-    /// The same targets at the time of the frame that is looked at.
+    /// The same targets at the time of the present frame.
     then: Vec<Target>,
     detections: Vec<Detection>,
     association: Association,
@@ -55,7 +55,7 @@ pub struct Tracker {
     confirmed: Vec<ObjectKind>,
 }
 
-/// A matrix that is given as a pose and is none.
+/// A matrix that was given as a pose but is no pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "the camera's pose has no rotation in its first three columns\n  hint: give `[R | t]` row by row, from the camera to the world"
@@ -69,8 +69,8 @@ impl Default for Tracker {
 }
 
 impl Tracker {
-    /// A tracker that has seen nothing; the first track gets the identity 1. Whether the parameters make sense is told by
-    /// [`TrackerParameters::faults`] and, for each, by the range of its JSON schema: who reads them from a file asks both.
+    /// Creates a tracker without tracks; the first one gets the identity 1. The parameters are not checked here: use
+    /// [`TrackerParameters::faults`] and the ranges of their JSON schema on parameters from a file.
     pub fn new(parameters: TrackerParameters) -> Self {
         Self {
             timeline: Timeline::new(1.0 / parameters.assumed_rate_hz),
@@ -87,19 +87,19 @@ impl Tracker {
         }
     }
 
-    /// Takes in the objects of one frame of a camera that stands still; the tracks that are alive, by identity. `stamp_ns` is
-    /// when the frame was taken, in nanoseconds; where it does not advance, frames are taken to come at
+    /// Updates the tracks with the objects of one frame of a camera that stands still; returns the live tracks by identity.
+    /// `stamp_ns` is the time of the frame in nanoseconds; where it does not advance, frames count as coming at
     /// [`TrackerParameters::assumed_rate_hz`].
     pub fn update(&mut self, objects: &[Object], stamp_ns: u64) -> &[Track] {
         self.update_frame(&Header { stamp_ns, ..Header::default() }, objects)
     }
 
-    /// The same of a camera that moves, or of several that look at the same place: `camera` is a number that tells which
-    /// (0 is that of [`Self::update`]), `world_from_camera` its pose, row-major `[R | t]` with a rotation R and t in metres.
-    /// Positions and velocities stay in the frame of the camera. What one camera alone sees, the others do not miss.
+    /// Updates the tracks for a camera that moves, or for several that look at the same place: `camera` is its number (0 is that
+    /// of [`Self::update`]), `world_from_camera` its pose, row-major `[R | t]` with a rotation R and t in metres. Positions and
+    /// velocities stay in the frame of the camera. An object that only one camera sees is no miss for the others.
     ///
     /// # Errors
-    /// The pose is none; the tracks are as they were.
+    /// The matrix is no pose; the tracks stay as they were.
     pub fn update_from(
         &mut self,
         camera: u32,
@@ -119,11 +119,11 @@ impl Tracker {
         Ok(self.update_frame(&header, objects))
     }
 
-    /// The method: takes in the objects of the frame that a header tells of, in the camera frame; the tracks that are alive,
-    /// by identity.
+    /// The method: updates the tracks with the objects of a frame, which are in the camera frame; returns the live tracks by
+    /// identity.
     pub fn update_frame(&mut self, header: &Header, objects: &[Object]) -> &[Track] {
-        // T1. Time: when the frame was taken, and how long since the last one (`timeline.rs`). Who was unseen for too long is
-        //     given up.
+        // T1. Time: when the frame was taken, and how long after the last one (`timeline.rs`). Targets that were unseen for too
+        //     long are removed.
         let time = self.timeline.advance(header);
         if time.new_run {
             self.targets.retain(|target| target.seen_by != time.source);
@@ -131,8 +131,8 @@ impl Tracker {
         let patience_s = self.parameters.max_coast_s.max(USUAL_GAP * time.usual_s);
         self.targets.retain(|target| target.life.unseen_s + time.elapsed_s <= patience_s);
 
-        // T2. Prediction: each target moves on as it may move (`motions.rs`, `filter.rs`, `ballistic.rs`), to the time of the
-        //     frame; where it has taken in a newer one, back (`target.rs`).
+        // T2. Prediction: each target moves by its models of motion (`motions.rs`, `filter.rs`, `ballistic.rs`) to the time of
+        //     the frame; a target that has taken in a newer frame moves back (`target.rs`).
         let world_from_camera = self.pose(header, time.source);
         self.predict(&time);
 
@@ -141,8 +141,8 @@ impl Tracker {
         self.detect(objects, &world_from_camera);
         self.associate(&time);
 
-        // T4. Update: what was seen corrects its target, what was not seen is missed (`motions.rs`, `target.rs`).
-        // T5. Life: a track is confirmed or lost by its record of sights; detections of no target begin tracks (`life.rs`).
+        // T4. Update: a detection corrects its target; a target without a detection is missed (`motions.rs`, `target.rs`).
+        // T5. Life: hits and misses confirm or end a track; detections without a target begin tracks (`life.rs`).
         let camera_from_world = world_from_camera.inverse();
         self.tracks.clear();
         self.update_targets(&time, &camera_from_world);
@@ -150,17 +150,17 @@ impl Tracker {
         &self.tracks
     }
 
-    /// The shapes of the tracks that the last frame confirmed.
+    /// Returns the shapes of the tracks that the last frame confirmed.
     pub fn newly_confirmed(&self) -> &[ObjectKind] {
         &self.confirmed
     }
 
-    /// The tracks that are alive, as of the last frame, by identity.
+    /// Returns the live tracks as of the last frame, by identity.
     pub fn tracks(&self) -> &[Track] {
         &self.tracks
     }
 
-    /// Where the camera of a source is: where the header says, else where it was.
+    /// Returns the pose of a source's camera: that of the header, else the last one.
     fn pose(&mut self, header: &Header, source: usize) -> IsometryMatrix3<f64> {
         if source >= self.world_from_camera.len() {
             self.world_from_camera.resize(source + 1, IsometryMatrix3::identity());
@@ -184,7 +184,7 @@ impl Tracker {
         self.detections.extend(objects.iter().map(detection));
     }
 
-    /// Undisturbed targets choose first; then those that may have been pushed.
+    /// Assigns detections first to undisturbed targets, then to those that may have been pushed.
     fn associate(&mut self, time: &Advance) {
         let Self { association, then, detections, parameters, .. } = self;
         association.reset(then.len(), detections.len());

@@ -1,10 +1,10 @@
-//! How an object moves is not known beforehand: it stands or goes on evenly, is carried, is thrown about, falls. Each is a model with
-//! a filter of its own, and what is seen tells how probable it is: interacting multiple models (Blom, Bar-Shalom, IEEE Transactions
-//! on Automatic Control, 1988; Bar-Shalom, Li, Kirubarajan 2001, section 11.6.6).
+//! Interacting multiple models of motion (Blom, Bar-Shalom, IEEE Transactions on Automatic Control, 1988; Bar-Shalom, Li,
+//! Kirubarajan 2001, section 11.6.6). How an object moves is not known beforehand: it stands or moves evenly, is carried, is
+//! thrown about, or falls. Each of these is a model with its own filter, and the detections determine the probability of each.
 //!
-//! At the rate `r` an object that is seen begins to follow a model anew, any of the `n` that it may follow. So after `dt` seconds model
-//! `j` has the probability `c_j = s w_j + (1 - s) / n` with `s = exp(-r dt)`, and its filter goes on from a mixture of what it was, of
-//! weight `s w_j`, and of what all of them were together. A sight `z` makes of that `w_j ~ c_j N(z; H x_j, S_j)`.
+//! An object that is seen starts to follow a new model at the rate `r`, any of the `n` that it may follow. So after `dt` seconds
+//! model `j` has the probability `c_j = s w_j + (1 - s) / n` with `s = exp(-r dt)`, and its filter continues from a mixture of
+//! its own motion, of weight `s w_j`, and of the mean over all models. A detection `z` then gives `w_j ~ c_j N(z; H x_j, S_j)`.
 
 use super::ballistic::Ballistic;
 use super::detection::Detection;
@@ -12,13 +12,13 @@ use super::filter::{Innovation, Motion};
 use super::parameters::TrackerParameters;
 use nalgebra::Matrix3;
 
-/// How often an object begins to move in another way, per second.
+/// Rate at which an object starts to move in another way, per second.
 const CHANGES_PER_S: f64 = 0.5; // [tuned]
 
 /// A way to move.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Manner {
-    /// With hardly any acceleration: it also stands.
+    /// With hardly any acceleration; this includes standing still.
     GoesOn,
     IsCarried,
     IsThrown,
@@ -26,10 +26,10 @@ enum Manner {
 }
 
 impl Manner {
-    /// All but the fall, which only some objects may have.
+    /// All but the fall, which only some objects may follow.
     const COMMON: [Self; 3] = [Self::GoesOn, Self::IsCarried, Self::IsThrown];
 
-    /// How violent it is, in units of what the parameters call usual: in steps of ten, so that none is far from any.
+    /// Returns its acceleration in units of `acceleration`, the usual one: the steps of ten leave no motion far from a model.
     fn strength(self) -> f64 {
         match self {
             Self::GoesOn => 0.1, // [algorithmic]
@@ -43,29 +43,29 @@ impl Manner {
         (self.strength() * config.acceleration).powi(2)
     }
 
-    /// Standard deviation of the speed at the first sight, per axis, in m/s. Most of what goes on evenly stands.
+    /// Standard deviation of the speed at the first detection, per axis, in m/s. Most objects that move evenly stand still.
     fn initial_speed(self, config: &TrackerParameters) -> f64 {
         self.strength().min(1.0) * config.initial_speed_mps
     }
 }
 
-/// One model: what the object does if it moves in this manner.
+/// One model: the motion of the object in this manner.
 #[derive(Clone, Debug)]
 struct Model {
     manner: Manner,
-    /// 0: it may not.
+    /// 0 where the object cannot move in this manner.
     probability: f64,
     motion: Motion,
 }
 
-/// How an object falls.
+/// The fall of a ball.
 #[derive(Clone, Copy, Debug)]
 pub struct Fall {
-    /// Where to, and where it bounces.
+    /// Gravity, and the floor on which it bounces.
     pub ballistic: Ballistic,
     /// The radius of the ball, in metres.
     pub radius: f64,
-    /// Whether the frame of tracking is the world's.
+    /// Whether the tracking frame is the world's.
     pub has_pose: bool,
 }
 
@@ -73,12 +73,12 @@ pub struct Fall {
 #[derive(Clone, Debug)]
 pub struct Motions {
     models: [Model; Manner::COMMON.len() + 1],
-    /// It was seen in time after the last step: only so is it known what it did.
+    /// Whether a detection came in time after the last prediction: only then is it known how the object moved.
     was_seen: bool,
 }
 
 impl Motions {
-    /// The motion of an object that was seen once; `falls`: it may fall.
+    /// Creates the motion of an object that was seen once; `falls`: it may fall.
     pub fn new(first: &Detection, falls: bool, config: &TrackerParameters) -> Self {
         let model = |manner: Manner| Model {
             manner,
@@ -91,12 +91,13 @@ impl Motions {
         motions
     }
 
-    /// The mean over all models.
+    /// Returns the mean over all models.
     pub fn mean(&self) -> Motion {
         Motion::mixture(self.models.iter().map(|model| (model.probability, &model.motion)))
     }
 
-    /// Goes on by `dt` seconds; `fall`: how the object falls, if it may. What was not seen goes on as it did.
+    /// Predicts the motion `dt` seconds later; `fall`: the fall of the object, if it may fall. The models of an unseen object
+    /// keep their probabilities.
     pub fn predict(&mut self, dt: f64, fall: Option<Fall>, config: &TrackerParameters) {
         self.may_change(if self.was_seen { dt } else { 0.0 }, fall.is_some());
         self.was_seen = false;
@@ -108,18 +109,18 @@ impl Motions {
         }
     }
 
-    /// Goes back by `dt` seconds, to before its last sight.
+    /// Moves the motion back by `dt` seconds, to before its last detection, with the noise of that time.
     pub fn look_back(&mut self, dt: f64, config: &TrackerParameters) {
         self.move_in_time(-dt);
         self.models.iter_mut().for_each(|model| model.motion.blur(-dt, model.manner.density(config)));
     }
 
-    /// It may have begun to follow another model within `dt` seconds; `falls`: also that of a fall.
+    /// Mixes the models, because the object may have started to follow another one within `dt` seconds; `falls`: also a fall.
     fn may_change(&mut self, dt: f64, falls: bool) {
         let mean = self.mean();
         let stays = (-CHANGES_PER_S * dt).exp();
         let possible = (Manner::COMMON.len() + usize::from(falls)) as f64;
-        // Never 0: what seemed impossible may yet be all that is left.
+        // Never 0: a model that seemed impossible may be all that is left.
         let begins = ((1.0 - stays) / possible).max(f64::MIN_POSITIVE);
         for model in &mut self.models {
             if model.manner == Manner::Falls && !falls {
@@ -133,20 +134,21 @@ impl Motions {
         self.share_out();
     }
 
-    /// The same motions `dt` seconds later, or before where that is negative, with no more noise than they have.
+    /// Moves the motions by `dt` seconds, backwards if negative, without adding noise.
     pub fn move_in_time(&mut self, dt: f64) {
         self.models.iter_mut().for_each(|model| model.motion.move_in_time(dt));
     }
 
-    /// The object was pushed at the start of the last `dt` seconds.
+    /// Returns the motions of an object that was pushed at the start of the last `dt` seconds.
     #[must_use]
     pub fn kicked(mut self, dt: f64, config: &TrackerParameters) -> Self {
         self.models.iter_mut().for_each(|model| model.motion = model.motion.kicked(dt, config.manoeuvre_mps));
         self
     }
 
-    /// Minus twice the logarithm of the likelihood of a sight's place, up to a constant; `None` outside the gate of every model.
-    /// `is_recent`: the object was seen of late. If not, it is not looked for where a throw may have taken it: that is everywhere.
+    /// Returns minus twice the logarithm of the likelihood of a detection's position, up to a constant; `None` outside the gate
+    /// of every model. `is_recent`: the object was seen recently. If not, the model of a throw is left out, because a throw may
+    /// have taken it anywhere.
     pub fn cost(&self, seen: &Detection, is_recent: bool, config: &TrackerParameters) -> Option<f64> {
         let models = self.models.iter().filter(|model| is_recent || model.manner != Manner::IsThrown);
         let near =
@@ -158,7 +160,7 @@ impl Motions {
         costs.reduce(|a, b| a.min(b) - 2.0 * (-0.5 * (a - b).abs()).exp().ln_1p())
     }
 
-    /// Takes in a sight.
+    /// Updates the motions with a detection.
     pub fn see(&mut self, seen: &Detection, config: &TrackerParameters) {
         let mut costs = [f64::INFINITY; Manner::COMMON.len() + 1];
         for (model, cost) in self.models.iter_mut().zip(&mut costs) {
@@ -168,8 +170,8 @@ impl Motions {
             }
         }
         let least = costs.iter().copied().fold(f64::INFINITY, f64::min);
-        // What the acceleration since a late sight and the state of now have in common is left out, by each model as much as it lets
-        // accelerate: so it does not tell between them.
+        // The update with a late detection ignores the correlation of the present state with the acceleration since then. The
+        // error grows with the acceleration of a model, so a late detection leaves the probabilities as they are.
         if least.is_finite() && seen.late_s == 0.0 {
             self.was_seen = true;
             let models = self.models.iter_mut().zip(costs);
@@ -178,7 +180,7 @@ impl Motions {
         }
     }
 
-    /// The probabilities add up to one.
+    /// Scales the probabilities to a sum of one.
     fn share_out(&mut self) {
         let sum: f64 = self.models.iter().map(|model| model.probability).sum();
         self.models.iter_mut().for_each(|model| model.probability /= sum);
@@ -186,14 +188,14 @@ impl Motions {
 }
 
 impl Model {
-    /// Covariance of the place of a sight against this model. A late one tells less of where the object is now: the noise `Q` of
-    /// acceleration in the time since adds `[I, -dt I] Q [I, -dt I]' = q dt^3 / 3`.
+    /// Returns the covariance of a detection's position for this model. A late detection is less certain about the present: the
+    /// noise `Q` of acceleration in the time since then adds `[I, -dt I] Q [I, -dt I]' = q dt^3 / 3`.
     fn noise(&self, seen: &Detection, config: &TrackerParameters) -> Matrix3<f64> {
         let spread = self.manner.density(config) * seen.late_s.powi(3) / 3.0;
         seen.covariance + Matrix3::from_diagonal_element(spread)
     }
 
-    /// None of a model that the object may not follow.
+    /// Returns the innovation; `None` for a model that the object cannot follow.
     fn innovation(&self, seen: &Detection, config: &TrackerParameters) -> Option<Innovation> {
         let may_be = self.probability > 0.0;
         may_be.then(|| self.motion.innovation(&seen.position, &self.noise(seen, config)))?
@@ -221,7 +223,7 @@ mod tests {
         Detection::new(&ball, &IsometryMatrix3::identity(), &config())
     }
 
-    /// The most probable manner of a ball that was seen here in each frame, and the probabilities of all.
+    /// The most probable manner of a ball that was seen at `place` in each frame, and all of its motions.
     fn after(fall: Option<Fall>, frames: u32, place: impl Fn(f64) -> [f64; 3]) -> (Manner, Motions) {
         let mut motions = Motions::new(&ball(place(0.0)), fall.is_some(), &config());
         for frame in 1..frames {
@@ -258,7 +260,7 @@ mod tests {
             let sum: f64 = motions.models.iter().map(|model| model.probability).sum();
             assert!((sum - 1.0).abs() < 1e-12);
         }
-        // A ball that surely falls turns out to be a tin, in a frame of the same time.
+        // A ball that surely falls turns out to be a tin, in a frame at the same time.
         motions
             .models
             .iter_mut()
@@ -268,7 +270,7 @@ mod tests {
         assert!(motions.mean().state.iter().all(|number| number.is_finite()));
     }
 
-    /// The density of a mixture, with models that differ and with models of which all say the same.
+    /// Compares with the density of a mixture, for models that differ and for models that are alike.
     #[test]
     fn the_cost_of_a_place_is_minus_twice_the_logarithm_of_its_likelihood() {
         let (_, mut motions) = after(None, 9, |time| [0.4 * time, 0.0, 2.0]);
@@ -299,7 +301,7 @@ mod tests {
         let before = of(&motions);
         motions.predict(1.0, None, &config());
         assert!(of(&motions).iter().zip(before).all(|(now, before)| (now - before).abs() < 1e-12));
-        // A late sight says where it was, and not how it moves.
+        // A late detection shows where the object was, but not how it moves.
         motions.see(&ball([0.0, 0.0, 2.0]).told_later(0.5, &config()), &config());
         assert!(of(&motions).iter().zip(before).all(|(now, before)| (now - before).abs() < 1e-12));
     }

@@ -7,20 +7,20 @@ use serde::{Deserialize, Serialize};
 
 /// Parameters of `kalman_tracker`.
 ///
-/// The `floor_*` are standard deviations that are added (as squares) to those of each detection, for what these leave
-/// out; the `drift_*` say how fast what is nearly constant may change.
+/// The `floor_*` are standard deviations that are added (as squares) to those of each detection, for errors that these do not
+/// include; the `drift_*` are the rates of random walks of parameters that are nearly constant.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct TrackerParameters {
-    /// Strength of the random acceleration that objects usually undergo, in m/s^2 per square root of Hz. A tenth and ten times of it
-    /// are reckoned with, too, and that an object stands.
+    /// Strength of the random acceleration that objects usually undergo, in m/s^2 per square root of Hz. Further models have a
+    /// tenth of it, for objects that stand or move evenly, and ten times of it.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1e6)))]
     pub acceleration: f64,
-    /// Standard deviation of the speed of an object seen for the first time, per axis, in m/s; a tenth, if it goes on evenly.
+    /// Standard deviation of the speed at the first detection, per axis, in m/s; a tenth of it for an object that moves evenly.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1e6)))]
     pub initial_speed_mps: f64,
-    /// Standard deviation of a sudden change of velocity (a bounce, a push), per axis, in m/s; 0: none is looked for.
+    /// Standard deviation of a sudden change of velocity (a bounce, a push), per axis, in m/s; 0: none is expected.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1e6)))]
     pub manoeuvre_mps: f64,
     /// Balls may fall and bounce: `{ gravity_mps2 = 9.81, floor_m = 0, restitution = 0.8 }`; none: they go straight on while
@@ -29,23 +29,23 @@ pub struct TrackerParameters {
     /// Squared Mahalanobis distance up to which a detection may belong to a track; 16.3 leaves out one in a thousand.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1e6)))]
     pub gate: f64,
-    /// Difference of radius between track and detection that is let pass whatever their sigma, as a share of the radius.
+    /// Difference of radius between track and detection that is accepted whatever their sigma, as a share of the radius.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1e6)))]
     pub max_radius_change: f64,
-    /// Angle between the axes of track and detection that is let pass whatever their sigma, in degrees.
+    /// Angle between the axes of track and detection that is accepted whatever their sigma, in degrees.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 90.0)))]
     pub max_axis_change_deg: f64,
-    /// Number of sights that confirm a track, within `confirm_window` frames.
+    /// Number of detections that confirm a track, within `confirm_window` frames.
     #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 32)))]
     pub confirm_hits: u32,
-    /// Number of frames within which `confirm_hits` sights confirm a track.
+    /// Number of frames within which `confirm_hits` detections confirm a track.
     #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 32)))]
     pub confirm_window: u32,
-    /// How long a confirmed track goes on without being seen, in seconds; if frames are farther apart than that, from one to
-    /// the next.
+    /// Longest time for which a confirmed track continues without a detection, in seconds; where frames are farther apart, it
+    /// continues to the next one.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1e6)))]
     pub max_coast_s: f64,
-    /// Frame rate to reckon with where the time stamps do not advance, in Hz.
+    /// Frame rate that is assumed where the time stamps do not advance, in Hz.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.001, max = 1e6)))]
     pub assumed_rate_hz: f64,
     /// Added to the sigma of the centre, in metres.
@@ -66,8 +66,9 @@ pub struct TrackerParameters {
     /// Added to the sigma of the length, in metres.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1e6)))]
     pub floor_length_m: f64,
-    /// Share of the variance of a sight (its floor included) that those after it have in common, so that no average lessens it:
-    /// the same pixels cut the same edge, frame after frame. It is part of the sigma of a track's centre, radius and half-angle.
+    /// Share of the variance of a detection (its floor included) that later detections have in common, so that averaging does not
+    /// reduce it: the same pixels cut the same edge, frame after frame. It is part of the sigma of a track's centre, radius and
+    /// half-angle.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1.0)))]
     pub common_share: f64,
     /// Drift of the radius, in metres per square root of a second.
@@ -114,7 +115,7 @@ impl Default for TrackerParameters {
 }
 
 impl TrackerParameters {
-    /// What is wrong with them although each is in its range.
+    /// Returns the contradictions between parameters that are each in range.
     pub fn faults(&self) -> Vec<ConfigFault> {
         let up = self.ballistic.and_then(|ballistic| gravity::fault("ballistic", ballistic.up));
         up.into_iter().chain(self.fault_of_hits()).collect()

@@ -1,4 +1,4 @@
-//! One object that is followed: the filters of its parameters, its shape and its life.
+//! A tracked object: the filters of its parameters, its shape and its life.
 
 use super::ballistic::Ballistic;
 use super::detection::{Detection, ShapeParameters, rotated};
@@ -10,48 +10,50 @@ use super::timeline::Advance;
 use conicflow_messages::{Object, ObjectKind, ObjectSigma, Track, TrackState};
 use nalgebra::{IsometryMatrix3, Matrix3, Point3, Vector3};
 
-/// What a cylinder that was seen as a cone, or the reverse, costs more than one seen as itself: minus twice the
-/// logarithm of one in seven.
+/// Cost of a cylinder that was seen as a cone, or the reverse, over one seen as itself: minus twice the logarithm of one in
+/// seven.
 const KIND_CHANGE_COST: f64 = 4.0; // [tuned]
 
-/// How long a target may have been looked for in vain, in seconds, and still be found off its way by a push: after that it
-/// may be anywhere.
+/// Longest time for which a target may be unseen and still be found as one that was pushed, in seconds: after that it may be
+/// anywhere.
 const MANOEUVRE_UNSEEN_S: f64 = 0.2; // [tuned]
 
-/// After so many sights it takes as many and one more to turn the axis of a cone over, however often it was seen.
+/// Upper bound of `Target::sense`: however often the axis of a cone was seen one way, this many opposite sightings and one more
+/// turn it over.
 const SURE_OF_SENSE: u32 = 10; // [algorithmic]
 
-/// The least half-angle that a cone is given, in radians: its apex stays finite.
+/// Lower bound of the half-angle from which the apex of a cone is computed, in radians, which keeps the apex finite.
 const MIN_HALF_ANGLE: f64 = 1e-6; // [algorithmic]
 
-/// An object that is followed, in the frame of tracking.
+/// A tracked object, in the tracking frame.
 #[derive(Clone, Debug)]
 pub struct Target {
     id: u64,
-    /// The newest frame that it has taken in, by its time in nanoseconds.
+    /// Time of the state: that of the newest frame taken in, in nanoseconds.
     at_ns: i128,
-    /// What it was seen as most often.
+    /// The shape as which it was seen most often.
     pub kind: ObjectKind,
-    /// How long and how often it was seen.
+    /// Its life cycle: how long and how often it was seen.
     pub life: Life,
     votes: [u32; ObjectKind::ALL.len()],
     motions: Motions,
     shape: ShapeParameters,
-    /// So many more sights had the axis of a cone this way than the other way round. An opposite sight at 0 turns it over.
+    /// By how many sightings the present direction of a cone's axis leads over the opposite one. An opposite sighting at 0 turns
+    /// the axis over.
     sense: u32,
     common: CommonError,
     last_seen: Object,
     /// The source that saw it last.
     pub seen_by: usize,
-    /// When that was, in nanoseconds.
+    /// Time of that sighting, in nanoseconds.
     seen_at_ns: i128,
 }
 
-/// Covariance of the error that successive sights have in common.
+/// Covariance of the error that successive sightings share.
 ///
-/// The filters take errors for independent. To consider one that is not (Schmidt 1966; Bar-Shalom et al., section 8.2.5) is
-/// simple here: an offset `b` of all sights is an offset `b` of the position and none of the velocity, since with the sensitivity
-/// `S = [I; 0]` an update leaves `S = (I - K H) S + K` as it is. So `P` and the covariance of `b` add up.
+/// The filters assume independent errors. The shared error is considered separately (Schmidt 1966; Bar-Shalom et al., section
+/// 8.2.5), which is simple here: an offset `b` of all sightings is an offset `b` of the position and none of the velocity, since
+/// an update leaves the sensitivity `S = [I; 0]` as it is, `S = (I - K H) S + K`. So `P` and the covariance of `b` add up.
 #[derive(Clone, Copy, Debug)]
 struct CommonError {
     position: Matrix3<f64>,
@@ -65,7 +67,7 @@ impl CommonError {
         Self { position: sight.covariance * share, radius: sight.shape.radius.variance * share, half_angle }
     }
 
-    /// That after one more sight; one as a cylinder tells nothing of a cone's half-angle.
+    /// Returns the covariance after one more sighting. A sighting as a cylinder leaves that of a cone's half-angle as it is.
     fn after(&self, sight: &Detection, share: f64) -> Self {
         let now = Self::of(sight, share);
         if sight.shape.half_angle.is_some() { now } else { Self { half_angle: self.half_angle, ..now } }
@@ -73,7 +75,7 @@ impl CommonError {
 }
 
 impl Target {
-    /// A target at its first sight.
+    /// Creates a target from its first sighting.
     pub fn born(id: u64, first: &Detection, time: &Advance, config: &TrackerParameters) -> Self {
         let mut votes = [0; ObjectKind::ALL.len()];
         votes[first.kind.code() as usize] = 1;
@@ -93,7 +95,8 @@ impl Target {
         }
     }
 
-    /// The target at the time of a frame, before that is looked at; `has_pose`: whether the frame of tracking is the world's.
+    /// Returns the target predicted to the time of a frame, before that frame is used; `has_pose`: whether the tracking frame is
+    /// the world's.
     pub fn at(&self, time: &Advance, has_pose: bool, config: &TrackerParameters) -> Self {
         let mut then = self.clone();
         let dt = (time.at_ns - self.at_ns) as f64 * 1e-9;
@@ -107,10 +110,11 @@ impl Target {
         then
     }
 
-    /// Keeps what became of it in a frame, `then`, in which it was seen or not.
+    /// Keeps the state `then` after a frame in which the target was seen or not.
     ///
-    /// A late sight is taken in at its own time, with the noise since then added to it, and the motion then goes forward again.
-    /// Where another camera saw it last and this one did not, its motion stays: that camera may yet tell of a time before.
+    /// A late sighting is taken in at its own time, with the process noise since then added to it, and the motion is moved
+    /// forward again. If another camera saw the target last and this one missed it, its motion stays, because that camera may
+    /// still send an earlier frame.
     pub fn keep(&mut self, then: &Self, seen: Option<&Detection>, time: &Advance, config: &TrackerParameters) {
         let lag_s = (self.at_ns - time.at_ns).max(0) as f64 * 1e-9;
         match seen {
@@ -124,19 +128,20 @@ impl Target {
         }
     }
 
-    /// How it falls, if it may.
+    /// Returns the model of its fall, if it may fall.
     fn fall(&self, has_pose: bool, config: &TrackerParameters) -> Option<Fall> {
         let ballistic = may_fall(self.kind, config)?;
         Some(Fall { ballistic, radius: self.shape.radius.value, has_pose })
     }
 
-    /// Minus twice the logarithm of the likelihood that `detection` is this target, up to a constant; `None` outside the
-    /// gate or where shape or radius do not fit.
+    /// Returns minus twice the logarithm of the likelihood that `detection` is this target, up to a constant; `None` outside the
+    /// gate or where shape or radius do not match.
     pub fn cost(&self, detection: &Detection, config: &TrackerParameters) -> Option<f64> {
         self.cost_of(&self.motions, detection, config)
     }
 
-    /// The same for a target that changed its velocity when it was last seen. Only its size tells it from others, and so has to fit.
+    /// Returns the same cost for a target that changed its velocity when it was last seen. Only its size distinguishes it from
+    /// others, so the size has to pass the gate.
     pub fn cost_of_manoeuvre(&self, detection: &Detection, time: &Advance, config: &TrackerParameters) -> Option<f64> {
         let looks_alike =
             self.kind == detection.kind && self.shape.radius.distance2(detection.shape.radius) < config.gate;
@@ -144,12 +149,12 @@ impl Target {
         may_be.then(|| self.cost_of(&self.pushed(time, config), detection, config))?
     }
 
-    /// Whether it was seen so lately that a push or a throw has not taken it just anywhere.
+    /// Returns whether it was seen so recently that a push cannot have moved it anywhere.
     fn is_recent(&self) -> bool {
         self.life.misses == 0 || self.life.unseen_s <= MANOEUVRE_UNSEEN_S
     }
 
-    /// Its motions if it changed its velocity when it was last seen.
+    /// Returns its motions if it changed its velocity when it was last seen.
     fn pushed(&self, time: &Advance, config: &TrackerParameters) -> Motions {
         let since_s = (time.at_ns - self.seen_at_ns).max(0) as f64 * 1e-9;
         self.motions.clone().kicked(since_s, config)
@@ -163,7 +168,7 @@ impl Target {
         Some(place_cost + radius_cost + axis_cost + kind_cost + self.life.cost_of_return())
     }
 
-    /// An outlier of the radius costs no more than one at the gate.
+    /// Returns the cost of the radius; an outlier costs no more than a radius at the gate.
     fn radius_cost(&self, measured: Size, config: &TrackerParameters) -> Option<f64> {
         let radius = self.shape.radius;
         let distance2 = radius.distance2(measured);
@@ -172,7 +177,7 @@ impl Target {
         (distance2 < config.gate || passes).then(|| distance2.min(config.gate) + spread)
     }
 
-    /// The same of the axis, for both directions across it. Nothing is known of it where one has none.
+    /// Returns the same cost of the axis, for both directions across it; 0 where one of both has no axis.
     fn axis_cost(&self, detection: &Detection, config: &TrackerParameters) -> Option<f64> {
         let Some((axis, seen)) = self.shape.axis.zip(detection.shape.axis) else { return Some(0.0) };
         let distance2 = axis.distance2(seen);
@@ -181,12 +186,12 @@ impl Target {
         (distance2 < config.gate || passes).then(|| distance2.min(config.gate) + spread)
     }
 
-    /// Whether it was seen often enough to be sure of it.
+    /// Returns whether it was seen often enough to be confirmed.
     pub fn is_confirmed(&self) -> bool {
         self.life.state() != TrackState::Tentative
     }
 
-    /// Takes in a sight.
+    /// Updates the target with a sighting.
     pub fn see(&mut self, detection: &Detection, time: &Advance, config: &TrackerParameters) {
         if self.cost(detection, config).is_none() {
             self.motions = self.pushed(time, config);
@@ -201,13 +206,13 @@ impl Target {
         self.turn(detection);
         update_or_begin(&mut self.shape.half_angle, detection.shape.half_angle);
         self.common = self.common.after(detection, config.common_share);
-        // What `max_radius_change` let pass is a step or an outlier: no noise, so the sigma has to cover it.
+        // A change that `max_radius_change` let pass is a step or an outlier, not noise, so the sigma has to cover it.
         self.common.radius = self.common.radius.max(self.shape.radius.lacking(detection.shape.radius, config.gate));
         self.last_seen = detection.object;
         self.life.seen();
     }
 
-    /// Goes on through a frame in which it was not seen. Where another camera saw it last, that says nothing.
+    /// Records a frame in which the target was not seen. If another camera saw it last, the frame is no miss.
     pub fn miss(&mut self, time: &Advance) {
         if time.source == self.seen_by {
             self.life.missed(time.elapsed_s);
@@ -216,7 +221,8 @@ impl Target {
         }
     }
 
-    /// The shape is the one seen most often; a cylinder that turns out to be a cone takes the sign of its axis.
+    /// Counts the shape of a sighting: the target's shape is the one seen most often. A cylinder that becomes a cone takes the
+    /// direction of the cone's axis.
     fn vote(&mut self, detection: &Detection) {
         let seen = detection.kind.code() as usize;
         self.votes[seen] = self.votes[seen].saturating_add(1);
@@ -232,8 +238,8 @@ impl Target {
         self.sense = 0;
     }
 
-    /// The direction of the axis is filtered as that of a line. Which way the axis of a cone points is not a matter of more or less:
-    /// that holds which was seen most often of late.
+    /// Filters the direction of the axis as that of a line. For a cone the sense of the axis is the one that was seen most often
+    /// of late.
     fn turn(&mut self, detection: &Detection) {
         let Some(seen) = detection.shape.axis else { return };
         let Some(axis) = &mut self.shape.axis else {
@@ -255,7 +261,7 @@ impl Target {
         }
     }
 
-    /// The track as it is sent, in the camera frame.
+    /// Returns the track as it is published, in the camera frame.
     pub fn track(&self, camera_from_world: &IsometryMatrix3<f64>) -> Track {
         let (rotation, motion) = (&camera_from_world.rotation, self.motions.mean());
         Track {
@@ -270,7 +276,7 @@ impl Target {
         }
     }
 
-    /// The filtered object. What supports it is that of its last sight, and nothing while it is unseen.
+    /// Returns the filtered object. Its points, rows and arc are those of the last sighting, or 0 while it is unseen.
     fn object(&self, motion: &Motion, camera_from_world: &IsometryMatrix3<f64>) -> Object {
         let unseen = Object { points: 0, rows: 0, arc: 0.0, ..self.last_seen };
         let seen = if self.life.misses == 0 { self.last_seen } else { unseen };
@@ -310,7 +316,7 @@ impl Target {
     }
 }
 
-/// The cone whose middle is `cylinder`: apex and end radii follow from its radius there and its half-angle.
+/// Returns the cone whose middle is `cylinder`: apex and end radii follow from the radius there and the half-angle.
 fn with_half_angle(cylinder: Object, half_angle: Size) -> Object {
     let slope = half_angle.value.max(MIN_HALF_ANGLE).tan();
     let apex = Vector3::from(cylinder.center) - Vector3::from(cylinder.axis) * (cylinder.radius / slope);
@@ -325,12 +331,12 @@ fn with_half_angle(cylinder: Object, half_angle: Size) -> Object {
     }
 }
 
-/// How an object of a shape falls, if it may.
+/// Returns the ballistic model of a shape that may fall.
 fn may_fall(kind: ObjectKind, config: &TrackerParameters) -> Option<Ballistic> {
     config.ballistic.filter(|_| kind == ObjectKind::Sphere)
 }
 
-/// Cost of a target of one shape being seen as another; only cylinders and cones are taken for each other.
+/// Returns the cost of seeing a target of one shape as another; only cylinders and cones may be confused.
 fn kind_cost(tracked: ObjectKind, seen: ObjectKind) -> Option<f64> {
     if tracked == seen {
         return Some(0.0);
@@ -371,13 +377,13 @@ mod tests {
         }
     }
 
-    /// Frames of cameras that are late by different times.
+    /// The frames of the cameras are late by different times.
     #[test]
     fn a_push_is_as_long_ago_as_the_frame_in_which_it_was_seen_last() {
         let config = TrackerParameters::default();
         let first = ball(&config);
         let mut target = Target::born(1, &first, &time(100), &config);
-        // Another camera saw it before, and tells so now.
+        // Another camera saw it earlier, and its frame arrives now.
         let before = Advance { source: 1, ..time(60) };
         target.keep(&target.at(&before, false, &config), Some(&first), &before, &config);
         assert_eq!(target.seen_by, 0, "who saw it last can miss it");

@@ -1,61 +1,61 @@
-//! How much time passed between two messages, and whether a message begins a new run.
+//! The time that passes between two messages, and whether a message starts a new run.
 
 use conicflow_messages::{Header, Text};
 
-/// A source whose first stamp is farther than this from the others' time has another clock, and begins now; so does one that
-/// has fallen behind by more.
+/// Largest difference between the clocks of two sources, in nanoseconds. A source whose first stamp is farther ahead of or behind
+/// the shared time, or that falls behind by more, has another clock, and starts now.
 const OTHER_CLOCK_NS: i128 = 1_000_000_000; // [tuned]
 
-/// Follows the time stamps of the sources, one or several, that the messages come from.
+/// Follows the time stamps of the one or several sources of messages.
 #[derive(Clone, Debug)]
 pub struct Timeline {
     assumed_period_s: f64,
-    /// The time that all sources share, on the clock of the first.
+    /// The shared time of all sources, on the clock of the first.
     now_ns: Option<i128>,
     sources: Vec<Frame>,
 }
 
-/// A frame of one source in time: the last that came, or the one that comes.
+/// A frame of one source: its last one, or the new one.
 #[derive(Clone, Copy, Debug)]
 struct Frame {
     stage: Text<32>,
     epoch: u64,
     sequence: u64,
     stamp_ns: u64,
-    /// When that was in the time that all share.
+    /// Its stamp in the shared time.
     at_ns: i128,
-    /// How long after the message before; none of the first.
+    /// Time since the frame before; `None` for the first.
     period_ns: Option<i128>,
 }
 
-/// What a message means for the time.
+/// The time of a message.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Advance {
-    /// Number of the source, by its first message.
+    /// Index of the source, in the order of their first messages.
     pub source: usize,
-    /// When the frame was taken, in nanoseconds of the time that all sources share: not before the newest frame of the others,
-    /// unless it is late, which only a clock that is shared tells.
+    /// Time when the frame was taken, in nanoseconds of the shared time. It is before the newest frame of the other sources only
+    /// if the frame is late, which only a shared clock shows.
     pub at_ns: i128,
-    /// Seconds since the message before; none where the frame is late.
+    /// Seconds since the message before; 0 where the frame is late.
     pub elapsed_s: f64,
-    /// Seconds between the two messages of this source before this one: what is usual. Infinite before there are two.
+    /// Seconds between the previous two messages of this source, the usual gap; infinite before there are two.
     pub usual_s: f64,
-    /// The source began from its first frame: what it saw before has nothing to do with it.
+    /// Whether the source restarted from its first frame: its earlier frames belong to another run.
     pub new_run: bool,
 }
 
 impl Timeline {
-    /// Before the first message. Where the stamps of a source do not advance, `assumed_period_s` stands for each frame.
+    /// Creates a timeline; `assumed_period_s` is the time per frame of a source whose stamps do not advance.
     pub fn new(assumed_period_s: f64) -> Self {
         Self { assumed_period_s, now_ns: None, sources: Vec::new() }
     }
 
-    /// Goes on to the time of a message.
+    /// Advances to the time of a message.
     ///
-    /// A source that was started anew (another epoch) and goes on with its sequence numbers is the same run. The sources
-    /// share a clock, until the stamps of one stand still or go back, or are far from those of the others: from then on those
-    /// count by their differences. Clocks less than a second apart are taken for one. A frame that is older than one of
-    /// another camera takes no time, and is late.
+    /// A source that restarts (another epoch) and continues its sequence numbers stays in the same run. The sources share a clock
+    /// until the stamps of one stand still or go back, or are far from those of the others: from then on only the differences of
+    /// its stamps count. Clocks less than a second apart count as one. A frame that is older than one of another camera is late,
+    /// and takes no time.
     pub fn advance(&mut self, header: &Header) -> Advance {
         let mut frame = Frame::of(header);
         let known = self.sources.iter().position(|known| known.stage == frame.stage);
@@ -80,7 +80,7 @@ impl Timeline {
         Advance { source, at_ns: self.taken_at(&frame), elapsed_s, usual_s, new_run }
     }
 
-    /// When a message is that goes on after the last one of its source.
+    /// Returns the time of a message that follows the last one of its source.
     fn goes_on(&self, last: &Frame, frame: &Frame) -> i128 {
         let passed_ns = if frame.stamp_ns > last.stamp_ns {
             i128::from(frame.stamp_ns - last.stamp_ns)
@@ -91,14 +91,14 @@ impl Timeline {
         last.at_ns.saturating_add(passed_ns)
     }
 
-    /// Seconds until `at_ns`; none if that is past.
+    /// Moves the shared time forward to `at_ns`; returns the seconds that passed, 0 if that time is past.
     fn move_forward(&mut self, at_ns: i128) -> f64 {
         let now_ns = self.now_ns.unwrap_or(at_ns);
         self.now_ns = Some(now_ns.max(at_ns));
         (at_ns - now_ns).max(0) as f64 * 1e-9
     }
 
-    /// When a frame was taken: now, where its stamps are not on the clock that all share.
+    /// Returns when a frame was taken: now, if its stamps are not on the shared clock.
     fn taken_at(&self, frame: &Frame) -> i128 {
         let is_shared = frame.at_ns == i128::from(frame.stamp_ns);
         self.now_ns.filter(|_| !is_shared).unwrap_or(frame.at_ns)
@@ -111,7 +111,7 @@ impl Frame {
         Self { stage: header.origin(), epoch, sequence, stamp_ns, at_ns: i128::from(stamp_ns), period_ns: None }
     }
 
-    /// Whether the source was started anew since, from its first frame.
+    /// Returns whether the source has restarted from its first frame after `last`.
     fn begins_after(&self, last: &Self) -> bool {
         self.epoch != last.epoch && self.sequence <= last.sequence
     }
@@ -124,7 +124,7 @@ mod tests {
 
     const PERIOD: f64 = 0.04;
 
-    /// What messages `(stage, epoch, sequence, stamp in ms)` mean for the time.
+    /// The advances of the messages `(stage, epoch, sequence, stamp in ms)`.
     fn advances(messages: &[(&str, u64, u64, u64)]) -> Vec<Advance> {
         let mut timeline = Timeline::new(PERIOD);
         let advance = |&(stage, epoch, sequence, stamp_ms): &(&str, u64, u64, u64)| {
@@ -139,13 +139,13 @@ mod tests {
         (seconds * 1e3).round() as i64
     }
 
-    /// Elapsed milliseconds; none where a new run began.
+    /// Elapsed milliseconds; `None` where a new run starts.
     fn elapsed_ms(messages: &[(&str, u64, u64, u64)]) -> Vec<Option<i64>> {
         let elapsed = |advance: &Advance| (!advance.new_run).then_some(milliseconds(advance.elapsed_s));
         advances(messages).iter().map(elapsed).collect()
     }
 
-    /// How many milliseconds each message is older than the newest one before it.
+    /// The lag of each message behind the newest one before it, in milliseconds.
     fn late_ms(messages: &[(&str, u64, u64, u64)]) -> Vec<i64> {
         let mut now_ns = i128::MIN;
         let late_ms = |advance: &Advance| {
@@ -232,7 +232,7 @@ mod tests {
 
     #[test]
     fn time_goes_on_when_the_camera_that_was_ahead_falls_silent() {
-        // Both go on with their clock after the second camera has jumped ahead by four seconds.
+        // Both clocks go on after that of the second camera has jumped ahead by four seconds.
         let times = elapsed_ms(&[
             ("a", 1, 0, 1000),
             ("b", 2, 0, 1000),

@@ -1,10 +1,10 @@
-//! Which cameras share a world: those that tell their pose have one in common, each other one has its own, with its own
-//! clock, as nobody knows where it stands.
+//! Assigns cameras to worlds. Cameras that send their pose share one world; each other camera has its own world, with its own
+//! clock, because its place is unknown.
 
 use super::{Tracker, TrackerParameters};
 use conicflow_messages::{Header, Object, Text};
 
-/// A tracker for each world; identities are given once among all of them.
+/// One tracker for each world; identities are unique among all of them.
 pub struct Worlds {
     config: TrackerParameters,
     next_id: u64,
@@ -19,12 +19,12 @@ struct World {
 }
 
 impl Worlds {
-    /// Before the first message; the first track gets the identity `first_id`.
+    /// Starts without worlds; the first track gets the identity `first_id`.
     pub fn with_first_id(config: TrackerParameters, first_id: u64) -> Self {
         Self { config, next_id: first_id, worlds: Vec::new() }
     }
 
-    /// Takes in the objects of one frame; the tracker of its world, which knows the tracks.
+    /// Updates the tracker of the frame's world with its objects; returns this tracker.
     pub fn update(&mut self, header: &Header, objects: &[Object]) -> &Tracker {
         let index = self.of(&header.origin(), header.pose().is_some());
         let tracker = &mut self.worlds[index].tracker;
@@ -34,7 +34,7 @@ impl Worlds {
         tracker
     }
 
-    /// Index of a source's world. A source stays in the one with poses, also where a frame lacks one.
+    /// Returns the index of a source's world. A source stays in the world with poses even if a frame lacks one.
     fn of(&mut self, source: &Text<32>, has_pose: bool) -> usize {
         let own = |world: &World| world.sources.contains(source) && (world.has_poses || !has_pose);
         if let Some(index) = self.worlds.iter().position(own) {

@@ -1,4 +1,4 @@
-//! A camera that moves, and one that does not tell where it is.
+//! A camera that moves, and one without a pose.
 
 use super::super::ballistic::Ballistic;
 use super::super::worlds::Worlds;
@@ -80,7 +80,7 @@ fn two_cameras_do_not_miss_what_only_the_other_sees() {
         assert!((Vector3::from(tracks[0].object.center) - left + Vector3::x() * 5.0).norm() < 1e-6, "its own pose");
         assert!((Vector3::from(tracks[1].object.center) - right).norm() < 1e-6);
     }
-    // The left one sees nothing more, then falls silent.
+    // The left camera sees nothing more, then falls silent.
     let tracks = tracker.update_frame(&placed("left", 0.0, 20), &[]);
     assert_eq!((tracks[0].misses, tracks[1].misses), (1, 0));
     for frame in 20..60 {
@@ -125,7 +125,7 @@ fn cameras_that_do_not_know_where_they_are_share_nothing_but_identities() {
     let right = worlds.update(&from("right", header(9)), &[]).tracks();
     assert_eq!((ids(right), right[0].misses), (vec![8], 1));
     assert_eq!(worlds.update(&from("left", header(9)), &[sphere(place)]).tracks()[0].misses, 0);
-    // Those that say where they are share a world, from then on.
+    // From then on, cameras with poses share a world.
     assert_eq!(ids(worlds.update(&placed("left", 0.0, 10), &[sphere(place)]).tracks()), [9]);
     assert_eq!(ids(worlds.update(&placed("right", 0.0, 10), &[sphere(place)]).tracks()), [9]);
     assert_eq!(ids(worlds.update(&from("right", header(11)), &[sphere(place)]).tracks()), [9]);
@@ -136,8 +136,8 @@ pub(super) fn late(header: Header, late_s: f64) -> Header {
     Header { stamp_ns: header.stamp_ns - (late_s * 1e9) as u64, ..header }
 }
 
-/// The frames of the right camera come a tenth of a second late, and every third does not show the ball; in the end it is
-/// hidden from the left one.
+/// The frames of the right camera are late by a tenth of a second, and every third does not show the ball; in the end the ball is
+/// hidden from the left camera.
 #[test]
 fn a_late_frame_is_compared_with_where_things_were_then() {
     let late_s = 0.1;

@@ -1,11 +1,11 @@
-//! The covariances that the filters give are those that their errors have.
+//! Tests that the errors of the filters match the covariances that these give.
 
 use super::super::filter::Motion;
 use super::camera::{late, placed};
 use super::*;
 use nalgebra::{Cholesky, Matrix2, Vector2, Vector6};
 
-/// A sum of chi-square numbers, one of each run.
+/// A sum of chi-square numbers, one per run.
 #[derive(Default)]
 struct Consistency {
     sum: f64,
@@ -67,7 +67,7 @@ fn the_whole_state_of_a_motion_is_right_within_its_covariance() {
     state_errors.check("position and velocity", 6.0);
 }
 
-/// A cone all of whose parameters change as the tracker expects: the errors of each fit the sigma that its track has.
+/// All parameters of a cone change as the tracker expects: the error of each matches its sigma.
 #[test]
 fn every_parameter_of_a_track_is_right_within_its_sigma() {
     let config = TrackerParameters {
@@ -177,8 +177,8 @@ fn what_stands_still_is_known_better_than_each_measurement() {
     assert!(squares < 1.3 * given, "the filter promises {given} and keeps {squares}");
 }
 
-/// Half of the variance of each sight is common to all of a run: the sigma of a track says so, and without it claims far too
-/// much. The filter takes the whole for noise, so that its part is a little larger than need be.
+/// All sightings of a run share half of their variance. The sigma of a track includes that half; without it, it is far too small.
+/// The filter treats all of the variance as noise, so its part is slightly larger than necessary.
 #[test]
 fn what_all_sights_have_in_common_is_part_of_the_sigma() {
     let errors_in_sigmas = |common_share| {
@@ -205,8 +205,9 @@ fn what_all_sights_have_in_common_is_part_of_the_sigma() {
     assert!(bare_position > 1.5 && bare_radius > 2.0, "{bare_position}, {bare_radius}");
 }
 
-/// Two cameras see what moves at random, and the frames of one come late. Errors of what is told with either, in sigmas: noise
-/// that the past and the present have in common is left out, so that sigmas are a little small, or large right after a frame.
+/// Two cameras see an object that moves at random, and the frames of one are late. The test measures the errors of tracks from
+/// either camera, in sigmas: the noise that past and present share is neglected, so sigmas are a little small, or large right
+/// after a frame.
 #[test]
 fn with_a_camera_that_is_late_all_is_right_within_its_sigma() {
     for late_frames in [1_usize, 3, 9, 24] {
@@ -239,12 +240,13 @@ fn with_a_camera_that_is_late_all_is_right_within_its_sigma() {
             in_sigmas[..3].iter().all(|ratio| (0.7..1.1).contains(ratio)),
             "{late_frames} frames late: {in_sigmas:?}"
         );
-        // How it moves now says little of how it moved long ago.
+        // The present motion says little of the motion long ago.
         assert!((0.7..1.3).contains(&late_velocity), "{late_frames} frames late: {in_sigmas:?}");
     }
 }
 
-/// Errors of the velocity of a ball from one frame on, root mean square over frames and runs: in m/s, and in its sigmas.
+/// Returns the root mean square error of a ball's velocity over the frames after the first `from`, and over runs: in m/s, and in
+/// its sigmas.
 fn velocity_errors(from: u64, motion: impl Fn(f64) -> [Vector3<f64>; 2]) -> [f64; 2] {
     let (mut noise, mut squares, runs, frames) = (Noise(41), [0.0; 2], 50, 60);
     for _ in 0..runs {
@@ -263,8 +265,8 @@ fn velocity_errors(from: u64, motion: impl Fn(f64) -> [Vector3<f64>; 2]) -> [f64
     squares.map(|sum| (sum / (f64::from(runs) * (frames - from) as f64)).sqrt())
 }
 
-/// What stands is told to stand, and of what falls the velocity is right within its sigma although nobody said that anything may
-/// fall. With one acceleration for all the first two are off by 0.05 m/s, and the last by 2 sigmas.
+/// The velocity is right for an object at rest and for one that moves evenly, and within its sigma for one that falls although no
+/// fall is configured. With one acceleration for all, the first two are off by 0.05 m/s, and the last by 2 sigmas.
 #[test]
 fn how_fast_an_object_is_depends_on_how_it_moves() {
     let start = Vector3::new(0.1, -1.0, 2.0);

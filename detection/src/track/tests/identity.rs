@@ -71,7 +71,7 @@ fn a_camera_slower_than_tracks_may_coast_keeps_identities() {
     }
 }
 
-/// Frames that came every two seconds.
+/// Frames at intervals of two seconds.
 #[test]
 fn a_gap_is_usual_that_is_at_most_half_as_long_again_as_the_one_before() {
     for (gap, id) in [(84, 1), (96, 2)] {
@@ -104,8 +104,8 @@ fn crossing_objects_keep_their_identities() {
     }
 }
 
-/// How often two sights of one of `count` equal balls, 3 cm apart, belong to different tracks, in two and a half seconds each of 20
-/// runs; noise across and along the view, and which ball is hidden when.
+/// Counts how often consecutive sightings of one of `count` equal balls, 3 cm apart, belong to different tracks, in 20 runs of
+/// two and a half seconds. `sigma_m` is the noise across and along the view, `is_hidden` says which ball is hidden when.
 fn switches(count: u32, rate_hz: f64, sigma_m: [f64; 2], is_hidden: impl Fn(u32, f64) -> bool) -> u32 {
     let mut switches = 0;
     for seed in 0..20 {
@@ -143,7 +143,7 @@ fn what_is_hidden_does_not_take_the_sights_of_its_neighbour() {
     assert!(switches < 20, "{switches} switches");
 }
 
-/// CLEAR-MOT of three balls that cross at one place at the same time, two of them hidden there, over many runs of noise.
+/// Three balls cross at one place at the same time, two of them hidden there, over many runs of noise; measured by CLEAR-MOT.
 #[test]
 fn crossing_balls_are_not_mixed_up() {
     for seed in 0..20 {
@@ -238,7 +238,8 @@ fn a_source_started_anew_keeps_its_tracks_only_if_it_goes_on() {
     assert_eq!((ids(tracks), states(tracks)), (vec![2], vec![TrackState::Tentative]));
 }
 
-/// A track seen once is near to everything in units of its own uncertainty; that must not win it what belongs to another.
+/// A track with one sighting is near to everything in units of its own uncertainty; that must not win it the sightings of
+/// another.
 #[test]
 fn a_new_track_does_not_take_the_sights_of_an_old_one() {
     let mut tracker = Tracker::new(exact());

@@ -1,4 +1,4 @@
-//! Tests of the tracker as a whole, on simulated detections, and what they have in common.
+//! Tests of the whole tracker on simulated detections, and their common helpers.
 
 mod camera;
 mod consistency;
@@ -13,7 +13,7 @@ use nalgebra::{Matrix3, Vector3};
 const PERIOD_S: f64 = 1.0 / 30.0;
 const SIGMA_M: f64 = 0.003;
 
-/// Normally distributed numbers from a seed: SplitMix64 (Steele, Lea, Flood 2014) and the transform of Box and Muller.
+/// Normally distributed numbers from a seed: SplitMix64 (Steele, Lea, Flood 2014) and the Box-Muller transform.
 struct Noise(u64);
 
 impl Noise {
@@ -34,7 +34,7 @@ impl Noise {
     }
 }
 
-/// Without additions to the sigma of the detections, which here is the true one, and independent of those before.
+/// Nothing is added to the sigma of the detections, which is the true one here, and their errors are independent.
 fn exact() -> TrackerParameters {
     TrackerParameters { floor_center_m: 1e-9, floor_along_axis: 0.0, common_share: 0.0, ..TrackerParameters::default() }
 }

@@ -1,4 +1,4 @@
-//! Balls that fall, bounce and lie.
+//! Balls that fall, bounce and lie still.
 
 use super::super::ballistic::Ballistic;
 use super::*;

@@ -61,8 +61,8 @@ fn of_two_in_one_place_the_one_of_its_shape_belongs_to_a_track() {
     }
 }
 
-/// `d' S^-1 d + ln det S` of the place, `d^2 / s + ln s` of the radius, and of the axis, which may lean in two directions,
-/// `d^2 / s + 2 ln s`.
+/// The cost is `d' S^-1 d + ln det S` of the place, `d^2 / s + ln s` of the radius, and `d^2 / s + 2 ln s` of the axis, which may
+/// lean in two directions.
 #[test]
 fn what_a_pair_costs_is_minus_twice_the_logarithm_of_its_likelihood() {
     let (config, place) = (TrackerParameters::default(), Vector3::new(0.0, 0.0, 1.0));
@@ -131,7 +131,7 @@ fn what_is_seen_as_a_cone_the_other_way_round_stays_where_it_is() {
     }
 }
 
-/// It is one way or the other, and never between.
+/// The direction is one or the other, and never between.
 #[test]
 fn the_axis_of_a_cone_points_as_it_was_seen_most_often_of_late() {
     let place = Vector3::new(0.0, 0.0, 1.0);
@@ -167,7 +167,7 @@ fn a_cone_fits_together() {
     assert!((last.half_angle - 0.2).abs() < 0.01 && last.sigma.half_angle < 0.0115);
 }
 
-/// A step that `max_radius_change` lets pass, far outside of what the sigma has for noise.
+/// A step that `max_radius_change` accepts, far outside the noise that the sigma covers.
 #[test]
 fn a_step_of_the_radius_leaves_an_honest_sigma() {
     let mut tracker = Tracker::new(exact());
