@@ -1,5 +1,5 @@
-//! The sink that scores a detector: objects or tracks against what was really there, as tables on standard output, and in one
-//! row, which `conicflow run` makes a table of where the pipeline file has an `[experiment]`. The scoring itself is
+//! Scores a detector: compares objects or tracks with the truth, and prints tables to standard output. It also writes one row, of
+//! which `conicflow run` makes a table if the pipeline file has an `[experiment]`. The scoring itself is in
 //! [`conicflow_lab::score`].
 
 use super::json_lines::JsonLines;
@@ -51,7 +51,7 @@ impl EvaluationConfig {
         self.truth.as_ref().map(load).transpose()
     }
 
-    /// An evaluation against the truth that they name, relative to `base`.
+    /// Returns an evaluation against the configured truth, with paths relative to `base`.
     ///
     /// # Errors
     /// A file cannot be read.

@@ -1,5 +1,5 @@
-//! The sink that holds a detector against what can be known at all: its scatter beside the bounds of Cramer and Rao. Each
-//! quantity of each object gives one row of an `[experiment]`. The measuring itself is [`conicflow_lab::score::limit`].
+//! Compares a detector with what is possible at all: its scatter with the Cramer-Rao bounds. Each quantity of each object gives
+//! one row of an `[experiment]`. The computation is in [`conicflow_lab::score::limit`].
 
 use super::measurement_sink::write_rows;
 use crate::faults::{refuse_restart, stage_error};
@@ -30,7 +30,7 @@ pub struct LimitConfig {
 }
 
 impl Default for LimitConfig {
-    /// Those of the simulated Kinect v1.
+    /// The values of the simulated Kinect v1.
     fn default() -> Self {
         Self { scene: None, tolerance: Tolerances::default(), dropout_angle_deg: 70.0, edge_jitter_px: 0.5, path: None }
     }

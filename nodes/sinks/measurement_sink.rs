@@ -1,9 +1,8 @@
-//! The sink that measures: what was found of each true object of a rendered scene, in mean and standard deviation, and how
-//! well identities were kept. Each object gives one row of figures, which `conicflow run` makes a table of where the
-//! pipeline file has an `[experiment]`; else the rows go to standard output. The measuring itself is
-//! [`conicflow_lab::score::measurement`].
+//! Measures what was found of each true object of a rendered scene, by mean and standard deviation, and how well identities were
+//! kept. Each object gives one row, of which `conicflow run` makes a table if the pipeline file has an `[experiment]`; else the
+//! rows go to standard output. The computation is in [`conicflow_lab::score::measurement`].
 //!
-//! The tolerances are wide: a radius that is far off is to be measured, not to be turned down.
+//! The tolerances are wide: a radius far off is to be measured, not to be rejected.
 
 use super::json_lines::JsonLines;
 use crate::faults::{refuse_restart, stage_error};
@@ -111,7 +110,7 @@ impl<T: Claim> Stage for MeasurementSink<T> {
     }
 }
 
-/// Writes rows as lines of JSON, to standard output where there is no path.
+/// Writes rows as lines of JSON, to standard output if there is no path.
 pub(super) fn write_rows(path: Option<&Path>, rows: &[Row]) -> Result<()> {
     let mut lines = match path {
         Some(path) => JsonLines::open(path, false)?,
