@@ -1,17 +1,17 @@
-//! Parameters of `method = "profile"`, the paper's.
+//! Parameters of the paper's method, `method = "profile"`.
 
 use conicflow_detection::AssemblerParameters;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// What is taken for the section of a body by a scan plane.
+/// The shape that is fitted to a body's section by a scan plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SectionFit {
-    /// The ellipse as the extractor found it, as in the paper. The paper names the radius r2, along the view; but what it
-    /// measures at a distance is what the other one gives, and that is taken.
+    /// The ellipse as the extractor found it, as in the paper. The paper names the radius r2, along the view; but the figures
+    /// that it reports follow from the other one, which is used.
     Ellipse,
-    /// An ellipse of the axis ratio that the axis of the body implies, fitted anew to the arc's moments.
+    /// An ellipse with the axis ratio that follows from the body's axis, fitted anew to the arc's moments.
     #[default]
     Circle,
 }
@@ -99,17 +99,17 @@ impl Default for ProfileParameters {
     }
 }
 
-/// All that the assembler goes by.
+/// All parameters of the assembler.
 #[derive(Clone, Debug, Default)]
 pub struct ProfileConfig {
-    /// What every assembler has.
+    /// The parameters of every assembler.
     pub common: AssemblerParameters,
-    /// What this one has alone.
+    /// The parameters of this one only.
     pub profile: ProfileParameters,
 }
 
 impl ProfileConfig {
-    /// The paper's method, with sections as the extractor found them.
+    /// Returns the parameters of the paper's method, with sections as the extractor found them.
     pub fn of_the_paper() -> Self {
         let profile = ProfileParameters { section_fit: SectionFit::Ellipse, ..ProfileParameters::default() };
         Self { common: AssemblerParameters::default(), profile }
