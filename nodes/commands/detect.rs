@@ -45,7 +45,7 @@ pub struct DetectArguments {
     /// The topic of a recording [default: the only one with depth images]
     #[arg(long, value_name = "TOPIC")]
     topic: Option<String>,
-    /// The sensor's depth noise; each image tells how noisy it is on top of that [default: kinect_v1, of recordings by conicflow
+    /// The sensor's depth noise; its level in each image is estimated in addition [default: kinect_v1, of recordings by conicflow
     /// as recorded]
     #[arg(long, value_name = "NAME")]
     noise: Option<NoiseName>,
@@ -61,7 +61,7 @@ pub struct DetectArguments {
     /// Draws every so many frames
     #[arg(long, value_name = "N", default_value_t = 1, requires = "drawn", value_parser = clap::value_parser!(u64).range(1..))]
     every: u64,
-    /// How many times as large as the frames the pictures are
+    /// Size of the pictures, as a multiple of the frames' size
     #[arg(long, value_name = "N", default_value_t = 1, requires = "pictures", value_parser = clap::value_parser!(u32).range(1..=8))]
     zoom: u32,
     /// Puts so many pictures, smaller, onto one contact sheet each, in the same folder

@@ -123,9 +123,9 @@ enum Command {
     ///
     /// Foxglove, Rerun and ROS 2 read the file; mcap_source replays it.
     Record(record::RecordArguments),
-    /// Show what runs, or a recording, on a page for the browser: the depth image, the objects in space, the stages
+    /// Show running pipelines, or a recording, on a page for the browser: the depth image, the objects in space, the stages
     ///
-    /// The address of the page is printed. It is seen on this machine alone, unless `--listen` says otherwise.
+    /// The address of the page is printed. It is only visible on this machine, unless `--listen` says otherwise.
     View(view::ViewArguments),
     /// Replace a stage of a running pipeline, with other parameters or another node; the others notice nothing
     Swap(SwapArguments),
@@ -142,7 +142,7 @@ enum Command {
     },
     /// Make the key by which the machines of a pipeline know each other's messages
     ///
-    /// Copy the file to all of them, and name it in each machine's table: key = "pipeline.key". Whoever can read it can send.
+    /// Copy the file to all of them, and name it in each machine's table: key = "pipeline.key". Anyone who can read it can send.
     Key {
         /// The file, which must not be there yet
         #[arg(default_value = "pipeline.key")]

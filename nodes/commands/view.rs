@@ -14,14 +14,14 @@ use std::sync::Arc;
 /// The recording or pipeline to show, and the address of the page.
 #[derive(Args)]
 pub struct ViewArguments {
-    /// A recording: an MCAP file, or a folder of them [default: what runs]
+    /// A recording: an MCAP file, or a folder of them [default: running pipelines]
     file: Option<PathBuf>,
     /// A second recording of the same frames, such as `compare --record` writes: what both have found, and what only one has
     against: Option<PathBuf>,
     /// Address of the page; one that other machines reach asks for a token [default: 127.0.0.1:8760, else another port]
     #[arg(long, value_name = "ADDRESS[:PORT]")]
     listen: Option<String>,
-    /// What has to be known to see the page [default: at an address that other machines reach one that is made and printed]
+    /// Token that is needed to see the page [default: one is made and printed where other machines may reach the page]
     #[arg(long, value_name = "TEXT")]
     token: Option<String>,
     /// Name of the pipeline, where several run; another one can be chosen on the page

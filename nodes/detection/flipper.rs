@@ -12,7 +12,7 @@ use std::marker::PhantomData;
 #[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct FlipperConfig {
-    /// How the image is turned or mirrored, and the camera with it. A mirrored frame loses its pose.
+    /// Rotation or mirroring of the image, and of the camera with it. A mirrored frame loses its pose.
     pub flip: Flip,
 }
 

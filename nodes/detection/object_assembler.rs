@@ -29,7 +29,7 @@ pub enum Method {
 #[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(default)]
 pub struct ObjectAssemblerConfig {
-    /// How objects are found: by `pooled` moments of arcs (`arcs = "moments"` of the extractor), or by the paper's `profile`
+    /// Method that finds objects: by `pooled` moments of arcs (`arcs = "moments"` of the extractor), or by the paper's `profile`
     /// of ellipses (`arcs = "conic"`). The table `pooled` holds for the former, the table `profile` for the latter.
     pub method: Method,
     /// Parameters of both methods.

@@ -24,8 +24,8 @@ pub enum ArcFinder {
 #[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(default)]
 pub struct RowEllipseConfig {
-    /// How a scan line is cut into arcs: `moments`, for `method = "pooled"` of the assembler, or `conic`, the paper's way. With
-    /// `conic` the limits of the radius are those of the semi-axes of ellipses, and no point is put back.
+    /// Method that cuts a scan line into arcs: `moments`, for `method = "pooled"` of the assembler, or `conic`, the paper's way.
+    /// With `conic` the limits of the radius are those of the semi-axes of ellipses, and no point is put back.
     pub arcs: ArcFinder,
     /// Parameters of both methods.
     #[serde(flatten)]

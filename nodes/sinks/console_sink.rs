@@ -40,13 +40,13 @@ pub trait Describe: Item {
     /// Writes the description, without indent and line feed.
     ///
     /// # Errors
-    /// Those of the place written to.
+    /// The text cannot be written.
     fn describe(&self, text: &mut impl fmt::Write) -> fmt::Result;
 
     /// Writes kind and size, as short as possible.
     ///
     /// # Errors
-    /// Those of the place written to.
+    /// The text cannot be written.
     fn sketch(&self, text: &mut impl fmt::Write) -> fmt::Result;
 
     /// The item's colour on a terminal: the parameters of an escape sequence.
@@ -186,7 +186,7 @@ impl<W: Write> Console<W> {
     /// Shows a message if it is due.
     ///
     /// # Errors
-    /// Those of the place written to.
+    /// The text cannot be written.
     pub fn show<T: Describe>(&mut self, message: &Message<T>) -> io::Result<()> {
         if !self.decimator.is_due(message.header) {
             return Ok(());
@@ -207,7 +207,7 @@ impl<W: Write> Console<W> {
     /// Shows the message of each camera that still waits.
     ///
     /// # Errors
-    /// Those of the place written to.
+    /// The text cannot be written.
     pub fn finish(&mut self) -> io::Result<()> {
         for text in std::mem::take(&mut self.held).into_values() {
             self.place.write_all(text.as_bytes())?;

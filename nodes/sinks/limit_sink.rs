@@ -17,12 +17,12 @@ use std::path::{Path, PathBuf};
 pub struct LimitConfig {
     /// Scene file that the source shows, in which nothing moves; random and built-in scenes are known by the names in the frames.
     pub scene: Option<PathBuf>,
-    /// How far off an answer may be and still be right.
+    /// Largest errors of a right answer.
     pub tolerance: Tolerances,
     /// Angle between ray and normal from which on the sensor loses points, in degrees: that of the source's noise.
     #[schemars(range(min = 0.0, max = 90.0))]
     pub dropout_angle_deg: f64,
-    /// Standard deviation of a silhouette's place, in pixels: that of the source's noise.
+    /// Standard deviation of a silhouette's position, in pixels: that of the source's noise.
     #[schemars(range(min = 0.0, max = 8.0))]
     pub edge_jitter_px: f64,
     /// File for the rows, as lines of JSON; none: standard output.

@@ -22,16 +22,16 @@ use std::path::{Path, PathBuf};
 pub struct MeasurementConfig {
     /// Scene file that the source shows; random and built-in scenes are known by the names in the frames.
     pub scene: Option<PathBuf>,
-    /// Which true objects are measured, where enough of them is seen.
+    /// Criteria for the true objects that are measured: enough of them has to be visible.
     pub required: VisibilityCriteria,
-    /// How far off an answer may be and still be about an object.
+    /// Largest errors of an answer that counts as one about an object.
     pub tolerance: Tolerances,
     /// Frames before this time are left out, for a filter to settle, in seconds; of recorded frames since the first.
     #[schemars(range(min = 0.0))]
     pub from_s: f64,
     /// File for the rows, as lines of JSON; none: standard output.
     pub path: Option<PathBuf>,
-    /// File for each frame's sights, as CSV, world frame; none: not written.
+    /// File for the observations in each frame, as CSV, world frame; none: not written.
     pub trace_path: Option<PathBuf>,
 }
 

@@ -27,10 +27,9 @@ const END_CHECK_PERIOD: Duration = Duration::from_millis(250);
 #[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ViewSinkConfig {
-    /// Where the page is offered, as ADDRESS or ADDRESS:PORT; default: 127.0.0.1:8760, or another port where that is taken.
+    /// Address of the page, as ADDRESS or ADDRESS:PORT; default: 127.0.0.1:8760, or another port where that is taken.
     pub listen: Option<String>,
-    /// What has to be known to see the page; default: nothing at 127.0.0.1, and where other machines may come a token that is
-    /// made and logged.
+    /// Token that is needed to see the page; default: none at 127.0.0.1; where other machines may come, one is made and logged.
     pub token: Option<String>,
 }
 

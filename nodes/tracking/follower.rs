@@ -35,14 +35,14 @@ pub struct FollowerConfig {
     /// Distance over ground at which the robot stands still, in metres.
     #[schemars(range(min = 0.0))]
     pub stop_distance_m: f64,
-    /// Speed for each metre of distance that is too much, in 1/s.
+    /// Speed per metre of distance beyond `stop_distance_m`, in 1/s.
     #[schemars(range(min = 0.0))]
     pub gain: f64,
     /// Greatest speed, in m/s.
     #[schemars(range(min = 0.0))]
     pub max_speed_mps: f64,
-    /// Where up is, as a vector in the world where the frames carry a pose, else in the camera's frame; none: the world's z,
-    /// [0, 0, 1], with a pose, and -y, [0, -1, 0], without. The robot does not leave the ground.
+    /// Up direction, as a vector in the world where the frames carry a pose, else in the camera's frame; none: the world's z, [0,
+    /// 0, 1], with a pose, and -y, [0, -1, 0], without. The robot does not leave the ground.
     pub up: Option<[f64; 3]>,
 }
 

@@ -41,9 +41,9 @@ pub enum Recorded {
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct NoiseEstimatorParameters {
-    /// What the recording shows: `static_scene` (nothing moves) or `flat_wall` (walls and floors fill most of the image).
+    /// Content of the recording: `static_scene` (nothing moves) or `flat_wall` (walls and floors fill most of the image).
     pub recorded: Recorded,
-    /// Fewest measurements of a pixel of a static scene.
+    /// Least number of measurements of a pixel of a static scene.
     #[schemars(range(min = 3))]
     pub min_frames: u32,
     /// Side of the blocks in which a wall counts as flat, in pixels.

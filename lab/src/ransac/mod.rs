@@ -29,7 +29,7 @@ pub struct RansacParameters {
     /// Looks at every n-th scan line.
     #[schemars(range(min = 1, max = 64))]
     pub line_step: u32,
-    /// Which random numbers are drawn; with the number of the frame it determines all of them.
+    /// Seed of the random numbers; with the number of the frame it determines all of them.
     pub seed: u64,
     /// Probability p of drawing four points of an ellipse at least once, where there is one.
     #[schemars(range(min = 0.01, max = 0.9999))]
@@ -43,7 +43,7 @@ pub struct RansacParameters {
     /// ... plus this, for what the noise model leaves out, in metres.
     #[schemars(range(min = 0.0, max = 0.1))]
     pub max_distance_floor_m: f64,
-    /// Most ellipses that are looked for in a line.
+    /// Largest number of ellipses in a line.
     #[schemars(range(min = 1, max = 100))]
     pub max_ellipses: u32,
     /// Smallest semi-axis of an ellipse, in metres.
@@ -52,7 +52,7 @@ pub struct RansacParameters {
     /// Largest semi-axis of an ellipse, in metres.
     #[schemars(range(min = 0.001, max = 10.0))]
     pub max_radius_m: f64,
-    /// What an ellipse has to be; the same table as of `row_ellipse_extractor`.
+    /// Limits on an ellipse; the same table as of `row_ellipse_extractor`.
     pub conic: EllipseLimits,
 }
 

@@ -45,10 +45,10 @@ use std::path::Path;
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RecordedTolerances {
-    /// Radius of a cylinder or a sphere, of a cone at the middle of the part that is seen, in metres.
+    /// Error of the radius, in metres; that of a cone at the middle of the visible part.
     #[schemars(range(min = 0.0))]
     pub radius_m: f64,
-    /// Distance of the middle of the part that is seen from the answer's axis, in metres.
+    /// Distance of the middle of the visible part from the answer's axis, in metres.
     #[schemars(range(min = 0.0))]
     pub position_m: f64,
     /// Angle between the axes, in degrees.

@@ -190,9 +190,9 @@ impl SyntheticCamera {
 pub struct SimulatorParameters {
     /// Scene file, or the name of a built-in scene; none: `bouncing_ball`.
     pub scene: Option<PathBuf>,
-    /// Values of the scene file, in place of those that stand under its `[values]`.
+    /// Values of the scene file, instead of the defaults under its `[values]`.
     pub values: Values,
-    /// Another random scene in each frame: `{ groups = ["standing", ...], seeds = [first, last] }`; in place of `scene`.
+    /// Another random scene in each frame, instead of `scene`: `{ groups = ["standing", ...], seeds = [first, last] }`.
     pub scenes: Option<RandomScenes>,
     /// Width of the image in pixels.
     #[schemars(range(min = 1, max = 4096))]
@@ -202,19 +202,20 @@ pub struct SimulatorParameters {
     pub height: u32,
     /// Intrinsics in pixels; none: those of a Kinect v1, scaled to the width.
     pub intrinsics: Option<Intrinsics>,
-    /// Frames per second; 0: as fast as they are taken, simulated time goes at 30 then.
+    /// Frames per second; 0: as fast as they are taken, with 30 per second in simulated time.
     #[schemars(range(min = 0.0, max = 1000.0))]
     pub rate_hz: f64,
     /// Number of frames; 0: without end, of random scenes one for each.
     pub frames: u64,
     /// Seed of the noise.
     pub seed: u64,
-    /// What the sensor does to the depth: "kinect_v1", "realsense_d435", "time_of_flight", "ideal" or a table.
+    /// Errors of the sensor: "kinect_v1", "realsense_d435", "time_of_flight", "ideal" or a table.
     pub noise: SensorConfig,
-    /// The sensor itself in place of its noise: "stereo" (as a RealSense D400), "structured_light" (as a Kinect v1), both by
-    /// matching blocks of rendered images, "time_of_flight", or a table such as `{ stereo = { baseline_m = 0.05 } }`.
+    /// A simulation of the sensor itself, instead of `noise`: "stereo" (as a RealSense D400), "structured_light" (as a Kinect
+    /// v1), both by matching blocks of rendered images, "time_of_flight", or a table such as `{ stereo = { baseline_m = 0.05 }
+    /// }`.
     pub sensor: Option<SimulatedSensor>,
-    /// The depth noise that the frames tell of in place of that of `noise`, to see what a wrong model does.
+    /// Depth noise in the frames' headers, if not that of the sensor, to see the effect of a wrong model.
     pub told_noise: Option<NoiseConfig>,
     /// Metres per unit of a depth pixel.
     #[schemars(range(min = 1e-6, max = 1.0))]

@@ -15,7 +15,7 @@ pub struct RandomScenes {
     pub groups: Vec<SceneGroup>,
     /// First and last seed.
     pub seeds: [u64; 2],
-    /// How far the camera is rolled to its right, beside the 6 degrees at most that it is to either side, in degrees.
+    /// Roll of the camera to its right, in degrees, in addition to a random one of up to 6 degrees to either side.
     #[schemars(range(min = -MAX_ROLL_DEG, max = MAX_ROLL_DEG))]
     pub roll_deg: f64,
 }

@@ -20,7 +20,7 @@ use std::f64::consts::FRAC_PI_2;
 /// Least angle between ray and surface in the growth of the noise, in radians.
 const LEAST_GRAZE: f64 = 0.05;
 
-/// What the sensor does to the depth: `"kinect_v1"`, `"realsense_d435"`, `"time_of_flight"`, `"ideal"` or a table.
+/// Errors of the sensor: `"kinect_v1"`, `"realsense_d435"`, `"time_of_flight"`, `"ideal"` or a table.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(
     untagged,
@@ -57,21 +57,21 @@ pub struct SensorTable {
     /// Depth between two neighbouring disparities, divided by the squared depth, in 1/metre; 0: no steps.
     #[schemars(range(min = 0.0))]
     pub step_per_m: f64,
-    /// Side of the window of the image that a depth comes from, in pixels: neighbours share their noise as far as their
-    /// windows overlap; 1: each has its own. A Kinect v1 has about 3 at 640x480.
+    /// Side of the window of the image from which a depth comes, in pixels: the noise of neighbours is correlated as far as their
+    /// windows overlap; 1: it is independent. A Kinect v1 has about 3 at 640x480.
     #[schemars(range(min = 1, max = 15))]
     pub noise_window_px: u32,
-    /// What noise grows by where the angle a between ray and normal is large: `grazing_noise / sqrt(z) a^2 / (pi / 2 - a)^2`
-    /// in metres, a in radians; 0: not at all. A Kinect v1 has 0.0001, but no header tells of it.
+    /// Additional noise where the angle a between ray and normal is large: `grazing_noise / sqrt(z) a^2 / (pi / 2 - a)^2` in
+    /// metres, a in radians; 0: none. A Kinect v1 has 0.0001, but no header includes it.
     #[schemars(range(min = 0.0))]
     pub grazing_noise: f64,
-    /// Standard deviation of a silhouette's place, in pixels of the image; 0: exact silhouettes.
+    /// Standard deviation of a silhouette's position, in pixels of the image; 0: exact silhouettes.
     #[schemars(range(min = 0.0, max = 8.0))]
     pub edge_jitter_px: f64,
-    /// Place of the projector to the right of the camera, in metres; 0: no shadow.
+    /// Position of the projector to the right of the camera, in metres; 0: no shadow.
     #[schemars(range(min = -1.0, max = 1.0))]
     pub shadow_baseline_m: f64,
-    /// Angle between ray and normal from which on points get lost, all of them at 90, in degrees; 90: none.
+    /// Angle between ray and normal beyond which points may be lost, as all of them are at 90, in degrees; 90: none.
     #[schemars(range(min = 0.0, max = 90.0))]
     pub dropout_angle_deg: f64,
     /// Least depth that is measured, in metres.

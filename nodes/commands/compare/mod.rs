@@ -27,10 +27,10 @@ use variant::{How, Variant};
 pub struct CompareArguments {
     #[command(flatten)]
     source: FileArguments,
-    /// What the first variant sets [default: nothing, it is the file as it stands]
+    /// Parameters of the first variant [default: none, it is the file as it stands]
     #[arg(long, value_name = "STAGE.KEY=VALUE", num_args = 1..)]
     a: Vec<String>,
-    /// What the second variant sets [default: nothing, it is the file as it stands]
+    /// Parameters of the second variant [default: none, it is the file as it stands]
     #[arg(long, value_name = "STAGE.KEY=VALUE", num_args = 1..)]
     b: Vec<String>,
     /// The topic with the answers, objects or tracks [default: the only one with objects, else with tracks]
@@ -42,10 +42,10 @@ pub struct CompareArguments {
     /// Writes a picture of each frame into this folder: what A found beside what B found
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
-    /// How many times as large as the frames each half of a picture is
+    /// Size of each half of a picture, as a multiple of the frames' size
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=8))]
     zoom: u32,
-    /// Keeps what both found in this folder, as `a.mcap` and `b.mcap`; `conicflow view` shows them together
+    /// Keeps the answers of both in this folder, as `a.mcap` and `b.mcap`; `conicflow view` shows them together
     #[arg(long, value_name = "DIR")]
     record: Option<PathBuf>,
     /// Print JSON in place of the tables, with the objects of each frame in which the variants differ

@@ -35,10 +35,10 @@ const LONGEST_NAME: usize = 200;
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// Folder for the pictures; it is made if need be. May be left out where `moving` says what is wanted.
+    /// Folder for the pictures, which is created if need be; may be left out if `moving` is given.
     pub path: Option<PathBuf>,
-    /// File for one moving picture (APNG) of all that is drawn, up to 300 pictures, which browsers and README pages play; it is
-    /// written at the end.
+    /// File for one moving picture (APNG) of everything that is drawn, up to 300 pictures, which browsers and README pages play;
+    /// it is written at the end.
     pub moving: Option<PathBuf>,
     /// Its width, in pixels; that of the pictures where they are narrower.
     #[schemars(range(min = 16, max = 1920))]
@@ -46,8 +46,8 @@ pub struct Config {
     /// Draw every so many frames, of each camera.
     #[schemars(range(min = 1))]
     pub every: u64,
-    /// What pictures are called after: `sequence` (frame_000012.png), `stage` (camera_000012.png, after the stage that had
-    /// the frame first: for several cameras) or `source` (the frame's file, where it has one).
+    /// Names of the pictures: by `sequence` (frame_000012.png), `stage` (camera_000012.png, after the stage that had the frame
+    /// first: for several cameras) or `source` (the frame's file, where it has one).
     pub names: Names,
     /// Width of the outlines, in pixels.
     #[schemars(range(min = 1, max = 15))]
@@ -55,9 +55,9 @@ pub struct Config {
     /// Whether objects are labelled with their kind, confidence and radius with its standard deviation, and tracks with their
     /// number.
     pub labels: bool,
-    /// Whether the lowest lines of the picture tell the frame, its time, and the scale of the depth.
+    /// Whether the lowest lines of the picture show the frame, its time, and the scale of the depth.
     pub legend: bool,
-    /// How many pixels of the picture, along either side, stand for one of the frame.
+    /// Number of pixels of the picture, along either side, for one pixel of the frame.
     #[schemars(range(min = 1, max = 8))]
     pub zoom: u32,
     /// Put so many pictures, smaller, onto one contact sheet each (sheet_0001.png); 0: no sheets.

@@ -27,7 +27,7 @@ pub struct Config {
     /// Frames per second; 0: as fast as the pipeline takes them, stamped as at 30 Hz. Recorded time stamps are kept.
     #[schemars(range(min = 0.0))]
     pub rate_hz: f64,
-    /// Where the camera was in each frame, for tracking in the world: `auto` (7-Scenes `*.pose.txt`, TUM `groundtruth.txt` or an
+    /// The camera's pose in each frame, for tracking in the world: `auto` (7-Scenes `*.pose.txt`, TUM `groundtruth.txt` or an
     /// Open3D trajectory `*.log` beside the frames or above them, else none), `none`, or the path of such a file or folder.
     pub poses: PosesConfig,
     /// Depth noise of the sensor: a name (`kinect_v1`, `realsense_d435`, `time_of_flight`, `ideal`) or a table.

@@ -53,7 +53,7 @@ impl Playback {
     /// Does the same as [`Playback::open`], and reports to `progress` the number of files seen and of all files.
     ///
     /// # Errors
-    /// Those of [`Playback::open`].
+    /// As for [`Playback::open`].
     pub fn open_with_progress(
         config: &Config,
         base: &Path,

@@ -23,7 +23,7 @@ pub struct Recording {
     places: u64,
     camera: Option<Camera>,
     depth_scale: f64,
-    /// Time of the look at the files' headers; a file written later has changed.
+    /// When the files' headers were read; a file written later has changed.
     opened: SystemTime,
     /// The file of the last frame that was loaded, and whether it was read in full.
     file: Vec<u8>,
@@ -69,7 +69,7 @@ impl Recording {
     /// Does the same as [`Recording::open`], and reports to `progress` the number of files seen and of all files.
     ///
     /// # Errors
-    /// Those of [`Recording::open`].
+    /// As for [`Recording::open`].
     pub fn open_with_progress(path: &Path, config: &Config, progress: &mut dyn FnMut(usize, usize)) -> Result<Self> {
         let opened = SystemTime::now();
         let mut layout = Layout::discover(path, progress)?;

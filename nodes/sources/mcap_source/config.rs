@@ -30,8 +30,8 @@ pub struct Config {
     /// Depth noise of the sensor: a name (`kinect_v1`, `realsense_d435`, `time_of_flight`, `ideal`) or a table; default: as
     /// recorded by conicflow, else `kinect_v1`.
     pub noise: Option<NoiseConfig>,
-    /// The frame of coordinates in which the camera's pose is wanted, such as `map`: looked for in /tf and /tf_static; default:
-    /// as recorded by conicflow, else none.
+    /// The coordinate frame for the camera's pose, such as `map`, which is searched for in /tf and /tf_static; default: as
+    /// recorded by conicflow, else none.
     pub world: Option<String>,
     /// Messages per second; 0: as fast as the pipeline takes them; default: as recorded.
     #[schemars(range(min = 0.0))]
@@ -42,7 +42,7 @@ pub struct Config {
     /// Seconds of the recording to leave out at its beginning.
     #[schemars(range(min = 0.0))]
     pub from_s: f64,
-    /// Where to end, in seconds from the beginning of the recording; default: at its end.
+    /// End of the playback, in seconds from the beginning of the recording; default: its end.
     #[schemars(range(min = 0.0))]
     pub to_s: Option<f64>,
     /// Where these parameters were written, for the hints.
@@ -81,8 +81,8 @@ impl Config {
         self.from_s > 0.0 || self.to_s.is_some()
     }
 
-    /// Returns why the images of a recording cannot be played, as far as complete files say so without being read in full and
-    /// only images can be meant.
+    /// Returns why the images of a recording cannot be played, if that is known without reading its files in full, and if it has
+    /// nothing else that may be meant.
     fn unplayable(&self, path: &Path) -> Option<ConfigFault> {
         let files = Files::find(path).ok()?;
         let channels = files.survey_of_complete()?;

@@ -86,7 +86,7 @@ impl Replay {
     /// which an earlier process of it has sent.
     ///
     /// # Errors
-    /// As of [`Self::open`].
+    /// As for [`Self::open`].
     pub fn resume(config: &Config, base: &Path, item: &ItemType, resume_at: u64, stop: &Stop) -> Result<Self> {
         let path = config.path.as_ref();
         let path = path.ok_or_else(|| Hinted::new("`path` is missing", "write `path = \"run.mcap\"`"))?;

@@ -31,8 +31,7 @@ pub struct ProfileParameters {
     /// The paper's k: number of neighbours that an ellipse is compared with, and of noisy ones that an object survives.
     #[schemars(range(min = 1, max = 64))]
     pub neighbors: u32,
-    /// Largest difference of the numbers of neighbouring scan lines; of those that the extractor looks at, as wherever lines
-    /// are counted.
+    /// Largest difference of the numbers of neighbouring scan lines, among those that the extractor uses.
     #[schemars(range(min = 1, max = 64))]
     pub max_gap_lines: u32,
     /// Largest scatter of centres about their line or circle, as a part of the radius.
@@ -65,8 +64,7 @@ pub struct ProfileParameters {
     /// Largest root mean square distance of the points from the surface, in standard deviations of the sensor ...
     #[schemars(range(min = 0.1, max = 20.0))]
     pub max_rms_sigmas: f64,
-    /// ... plus this many radii, for the error of the radius; of `section_fit = "ellipse"` that is known, and this has no
-    /// effect.
+    /// ... plus this many radii, for the error of the radius; no effect with `section_fit = "ellipse"`, whose error is known.
     #[schemars(range(min = 0.0, max = 0.5))]
     pub max_rms_radii: f64,
     /// Least root mean square distance of the points of a section from a straight line, in standard deviations of the
