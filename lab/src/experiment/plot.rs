@@ -105,7 +105,7 @@ fn lines(plot: &Plot, rows: &[Row]) -> Vec<Line> {
     lines
 }
 
-/// Returns the paper's figures, once for each position.
+/// Returns the paper's figures as circles, one for each position that has one.
 fn paper_lines(experiment: &Experiment, plot: &Plot, rows: &[Row]) -> Vec<Line> {
     let Some(paper) = &experiment.paper else { return Vec::new() };
     let told_apart = plot.lines.iter().filter(|column| paper.r#match.contains(column)).cloned().collect();

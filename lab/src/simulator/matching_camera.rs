@@ -244,8 +244,8 @@ impl MatchingCamera {
     }
 }
 
-/// Returns the light of the pattern at a pixel, from a projector at a position to its right. The decrease of light with the
-/// squared distance is left out, as cameras compare contrasts.
+/// Returns the light of the pattern at a pixel, from a projector `projector_m` metres to the right of the eye. The decrease of
+/// light with the squared distance is left out, as cameras compare contrasts.
 fn light(pattern: &DotPattern, raster: &Raster, shadow: &[bool], index: usize, projector_m: f64) -> f32 {
     if raster.owner[index] == NOBODY || shadow[index] {
         return 0.0;
