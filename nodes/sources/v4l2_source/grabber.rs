@@ -130,8 +130,7 @@ impl<D: Driver> Grabber<D> {
                 (self.opened, self.has_opened, self.heard) = (Some(opened), true, Instant::now());
                 Ok(())
             }
-            // The first attempt fails at once, as another one would not help; later, another camera may have been plugged in
-            // meanwhile.
+            // A lasting fault ends the stage, unless a camera was open before: another one may have been plugged in meanwhile.
             Err(fault) if fault.lasts && !self.has_opened => Err(fault.into()),
             Err(fault) => {
                 self.warn(&format!("{fault}\n  the stage waits for the camera"));
