@@ -1,18 +1,18 @@
-//! What goes wrong in the same way with several nodes: an error of their own is one of a stage, a restart has lost sums, an image
-//! has one side.
+//! Errors and faults that several nodes share: conversion to a stage's error, refusal of a restart that has lost sums, images
+//! with only one side given.
 
 use conicflow_dataflow::{ConfigFault, Context, StageError};
 use conicflow_messages::Hinted;
 
-/// An error as that of a stage, with what it says of itself; `?` would hide from the run whether it lasts.
+/// Converts an error to one of a stage; `?` would hide from the runner whether it is permanent.
 pub fn stage_error(error: anyhow::Error) -> StageError {
     error.reallocate_into_boxed_dyn_error_without_backtrace()
 }
 
-/// Refuses the restart of a stage that keeps its sums in memory; `summed` says what it did with its input ("counted").
+/// Refuses the restart of a stage that keeps its sums in memory; `summed` is the participle for its work ("counted").
 ///
 /// # Errors
-/// It was started anew in the same run.
+/// The stage was restarted in the same run.
 pub fn refuse_restart(context: &Context, summed: &str) -> Result<(), StageError> {
     if context.resume_at == 0 {
         return Ok(());
@@ -21,7 +21,7 @@ pub fn refuse_restart(context: &Context, summed: &str) -> Result<(), StageError>
         .into())
 }
 
-/// What is wrong with an image of which one side alone is given.
+/// Returns the fault of giving only one side of an image.
 pub fn one_of_two(width: Option<u32>, height: Option<u32>) -> Option<ConfigFault> {
     let key = if width.is_some() { "width" } else { "height" };
     let fault = || ConfigFault::new(key, "is one of two", "give both `width` and `height`, or none");

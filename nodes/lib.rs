@@ -1,5 +1,5 @@
-//! The stages of conicflow as thin adapters around the detection and the laboratory, by what they are; their table; and the
-//! command line.
+//! The stages of conicflow as thin adapters around the detection and the laboratory, grouped by their role; the table of nodes;
+//! and the command line.
 
 pub mod commands;
 mod faults;
@@ -8,7 +8,7 @@ pub mod recording;
 mod viewing;
 
 pub mod sources {
-    //! Where frames come from.
+    //! Sources of frames.
 
     pub mod image_source;
     pub mod mcap_source;
@@ -25,7 +25,7 @@ pub mod sources {
 }
 
 pub mod detection {
-    //! Depth images to ellipses, ellipses to objects; and what turns or mirrors images and objects.
+    //! Depth images to ellipses, ellipses to objects; and stages that rotate or mirror images and objects.
 
     mod flipper;
     mod object_assembler;
@@ -49,7 +49,7 @@ pub mod tracking {
 }
 
 pub mod sinks {
-    //! Where results go: to people, files, pictures, and what is measured of them.
+    //! Outputs of results: to people, files and pictures, and measurements of them.
 
     mod console_sink;
     mod decimator;
@@ -88,7 +88,7 @@ use sources::sdk_camera::{AzureKinect, OakD, Orbbec, RealSense, SdkCamera};
 use sources::{ImageSource, McapSource, SyntheticSource, V4l2Source};
 use tracking::{Follower, KalmanTracker};
 
-/// The nodes that a pipeline file may name: one row makes one available.
+/// The nodes that a pipeline file can name: one row makes one available.
 pub const NODES: &[Node] = &[
     Node::source::<SyntheticSource>(),
     Node::source::<ImageSource>(),
@@ -141,5 +141,5 @@ pub const NODES: &[Node] = &[
     Node::stage::<Flipper<Object>>(),
 ];
 
-/// What this program has built in, and beside it.
+/// The nodes and the network part of this program.
 pub const REGISTRY: Registry = Registry { nodes: NODES, network: Some(network::NETWORK) };

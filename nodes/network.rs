@@ -1,7 +1,7 @@
 //! The network part of the program: the program `conicflow-bridge` beside this one.
 //!
-//! What speaks to other machines is a program of its own: stages have no network in them, and who needs one machine alone
-//! builds and runs none.
+//! The code for other machines is a separate program: stages contain no network code, and on a single machine it is neither built
+//! nor run.
 
 use conicflow_dataflow::pipeline::Machine;
 use conicflow_dataflow::{Carrier, Hinted, Host, Network};
@@ -12,22 +12,22 @@ use std::process::{Command, Stdio};
 /// The network part, for the registry.
 pub(crate) const NETWORK: Network = Network {
     check: |machine| ask("check", machine).flatten(),
-    // Only a file of Zenoh's settings names certificates.
+    // Only a configuration file of Zenoh names certificates.
     warnings: |machine| machine.zenoh.as_ref().and_then(|_| ask("warnings", machine).ok()).unwrap_or_default(),
     listen_endpoints: |machine| ask("endpoints", machine).flatten(),
     carrier: Carrier::Program(program),
 };
 
-/// What runs the nodes that speak to others.
+/// Runs the nodes that communicate with other machines.
 pub(crate) const HOST: Host =
     Host { command: |_, _| Ok(vec![program()?.to_string_lossy().into_owned()]), check: |_, _, _| program().map(drop) };
 
-/// Environment variable: the program that carries topics between machines, where it is not beside this one.
+/// Environment variable with the path of the bridge program, if that is not beside this one.
 const BRIDGE_PROGRAM: &str = "CONICFLOW_BRIDGE";
 
 const NAME: &str = "conicflow-bridge";
 
-/// The program that carries topics between machines, and runs the nodes that speak to others.
+/// Returns the program that carries topics between machines and runs the nodes that communicate with them.
 pub(crate) fn program() -> Result<PathBuf, Hinted> {
     let program: PathBuf = match std::env::var_os(BRIDGE_PROGRAM) {
         Some(program) => program.into(),
@@ -36,7 +36,7 @@ pub(crate) fn program() -> Result<PathBuf, Hinted> {
             here.map_err(|error| fault(&format!("this program cannot be found: {error}")))?.with_file_name(NAME)
         }
     };
-    // A name without a folder is looked for in PATH.
+    // A name without a folder is searched for in PATH.
     let is_name = program.components().count() == 1;
     if is_name || program.is_file() { Ok(program) } else { Err(fault(&format!("there is no `{}`", program.display()))) }
 }
@@ -47,7 +47,7 @@ fn fault(what: &str) -> Hinted {
     Hinted::new(what, hint)
 }
 
-/// What that program answers of a machine.
+/// Asks that program a question about a machine, and returns its answer.
 fn ask<T: DeserializeOwned>(question: &str, machine: &Machine) -> Result<T, Hinted> {
     let program = program()?;
     let answer = || -> anyhow::Result<T> {

@@ -1,17 +1,18 @@
-//! How well an object can be measured at all: the bound of Cramer and Rao, from a rendered image and the sensor's noise.
+//! The best possible accuracy of an object: the Cramer-Rao bound, from a rendered image and the sensor's noise.
 //!
 //! Depths are independent and normal about `z_i(theta)`, so that the information about the parameters theta is
 //! `I = sum_i w_i J_i' J_i / sigma(z_i)^2` with `J_i = dz_i / dtheta`, and no unbiased estimate scatters less than `I^-1`
 //! (Rao 1945, Cramer 1946; for example Kay, "Fundamentals of Statistical Signal Processing: Estimation Theory", 1993, chapter
 //! 3). On the surface `F(z r, theta) = 0` of a ray r that is `J = -(dF / dtheta) / (grad F . r)`. The weight w is the chance
+//! On the surface `F(z r, theta) = 0` of a ray r that is `J = -(dF / dtheta) / (grad F . r)`. The weight w is the probability
 //! that a pixel is measured: 1 up to an angle between ray and normal, then falling linearly in its cosine to 0, as in
-//! [`super::simulator::sensor`]. Bound A has the depths of the visible side alone: without flat ends, and without the pixels
-//! beside which something else is seen, whose depth may be either's and tells of the silhouette.
+//! [`super::simulator::sensor`]. Bound A uses the depths of the visible side only: not the flat ends, and not the pixels next to
+//! another surface, whose depth may be that of either one and depends on the silhouette.
 //!
-//! Bound B has the silhouettes as well: where a scan line leaves the side of the object for something farther away, its
-//! discriminant `D(u, theta) = b^2 - 4 a c` of `F(z r) = a z^2 + b z + c` is zero, so `du / dtheta = -(dD / dtheta) / (dD /
-//! du)`, and u is known with a variance of `1/12 + jitter^2` square pixels. Each piece of the contour counts once: rows count
-//! where it is steeper than 45 degrees, columns where it is flatter.
+//! Bound B uses the silhouettes, too: where a scan line leaves the side of the object for something farther away, the
+//! discriminant `D(u, theta) = b^2 - 4 a c` of `F(z r) = a z^2 + b z + c` is zero, so `du / dtheta = -(dD / dtheta) / (dD / du)`,
+//! and u is known with a variance of `1/12 + jitter^2` square pixels. Each piece of the contour counts once: in rows where it is
+//! steeper than 45 degrees, in columns where it is flatter.
 
 use crate::bisection::end_of;
 use crate::simulator::raster::{NOBODY, Raster, ray};
@@ -19,14 +20,14 @@ use conicflow_geometry::{Coefficients, Conical, Sphere, Surface, gradient};
 use conicflow_messages::{NoiseModel, Object, ObjectKind};
 use nalgebra::{SMatrix, SVector, Vector3};
 
-/// Least standard deviations of an unbiased estimate; what a shape does not have is `None`.
+/// Least standard deviations of an unbiased estimate; `None` for parameters that the shape does not have.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bound {
     /// Of the radius at the object's middle, in metres.
     pub radius_m: f64,
-    /// Of the middle's place, root mean square distance in metres: of spheres in space, else across the axis.
+    /// Of the middle's position, as root mean square distance in metres: in space for spheres, else across the axis.
     pub position_m: f64,
-    /// Of the axis, root mean square angle in radians.
+    /// Of the axis, as root mean square angle in radians.
     pub axis: Option<f64>,
     /// Of the half-angle, in radians.
     pub half_angle: Option<f64>,
@@ -41,19 +42,19 @@ pub struct Bounds {
     pub contour: Bound,
 }
 
-/// The sensor, as far as it limits what can be known.
+/// The properties of the sensor that limit the accuracy.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measuring {
     /// Noise of each depth, independent of all others.
     pub noise: NoiseModel,
-    /// Angle between ray and normal from which on points get lost, in radians.
+    /// Angle between ray and normal beyond which points may be missing, in radians.
     pub dropout_angle: f64,
-    /// Standard deviation of a silhouette's place besides that of a pixel, in pixels.
+    /// Standard deviation of a silhouette's position beside that of a pixel's size, in pixels.
     pub edge_jitter_px: f64,
 }
 
-/// The bounds of an object that is seen in an image as the shape number `owner`, in the camera's frame: all of it, `center`
-/// being its middle. `None` where too little of it is seen to tell all of its parameters.
+/// Returns the bounds for the object that is shape number `owner` in an image. `body` is the whole object in the camera's frame,
+/// with its middle as `center`. `None` if too little of it is visible to determine all of its parameters.
 pub fn bounds(raster: &Raster, owner: u16, body: &Object, measuring: &Measuring) -> Option<Bounds> {
     let (point, axis) = (Vector3::from(body.center), Vector3::from(body.axis));
     let conical = Conical { point, axis, radius: body.radius, slope: body.half_angle.tan() };
@@ -74,7 +75,7 @@ pub fn bounds(raster: &Raster, owner: u16, body: &Object, measuring: &Measuring)
     }
 }
 
-/// What a cylinder and a cone have in common.
+/// The bound of the parameters that cylinders and cones share.
 fn conical_bound<const N: usize>(covariance: &SMatrix<f64, N, N>) -> Bound {
     Bound {
         radius_m: covariance[(4, 4)].sqrt(),
@@ -88,7 +89,7 @@ fn root_of_sum<const N: usize, const M: usize>(covariance: &SMatrix<f64, N, N>, 
     indices.iter().map(|&index| covariance[(index, index)]).sum::<f64>().sqrt()
 }
 
-/// The steps to the pixels beside one.
+/// Steps to the four neighbours of a pixel.
 const BESIDE: [[i64; 2]; 4] = [[1, 0], [-1, 0], [0, 1], [0, -1]];
 
 /// An object in an image.
@@ -114,7 +115,7 @@ impl View<'_> {
         (0..height).flat_map(move |v| (0..width).map(move |u| [u, v]))
     }
 
-    /// Information of the depths of the side.
+    /// Returns the information of the depths of the side.
     fn of_depths<S: Surface<N>, const N: usize>(&self, surface: &S) -> SMatrix<f64, N, N> {
         let (q, derivatives) = (surface.coefficients(), surface.derivatives());
         let dropout_cosine = self.measuring.dropout_angle.cos();
@@ -131,9 +132,9 @@ impl View<'_> {
         information
     }
 
-    /// Whether the outer side of the object is seen in a pixel: not another thing, nor its inside, nor one of its ends.
+    /// Whether a pixel shows the outer side of the object, and not another object, its inside or one of its ends.
     fn is_side(&self, q: &Coefficients, [u, v]: [i64; 2]) -> bool {
-        /// Of the depth: a point that is farther off lies on an end.
+        /// Tolerance as a share of the depth: a point farther off the side lies on an end.
         const OFF: f64 = 1e-6;
         if self.raster.owner[self.raster.index(u, v)] != self.owner {
             return false;
@@ -142,7 +143,7 @@ impl View<'_> {
         gradient(q, &point).dot(&point) < 0.0 && value(q, &point).abs() < OFF * point.z
     }
 
-    /// Whether the outer side is seen in a pixel, and the same object in those beside it.
+    /// Whether a pixel shows the outer side, and its neighbours the same object.
     fn is_within(&self, q: &Coefficients, [u, v]: [i64; 2]) -> bool {
         let is_own = |[u, v]: [i64; 2]| self.raster.owner[self.raster.index(u, v)] == self.owner;
         let beside = BESIDE.map(|[step_u, step_v]| [u + step_u, v + step_v]);
@@ -154,7 +155,7 @@ impl View<'_> {
         (0..i64::from(camera.width)).contains(&u) && (0..i64::from(camera.height)).contains(&v)
     }
 
-    /// Information of the places where scan lines leave the side for something farther away.
+    /// Returns the information of the positions where scan lines leave the side for something farther away.
     fn of_silhouettes<S: Surface<N>, const N: usize>(&self, surface: &S) -> SMatrix<f64, N, N> {
         let (q, derivatives) = (surface.coefficients(), surface.derivatives());
         let variance = 1.0 / 12.0 + self.measuring.edge_jitter_px.powi(2);
@@ -173,7 +174,7 @@ impl View<'_> {
         information
     }
 
-    /// Whether a pixel is in the image and shows something farther away than another one does, or nothing.
+    /// Whether a pixel is in the image and shows either nothing or something farther away than another pixel does.
     fn is_farther(&self, here: [i64; 2], there: [i64; 2]) -> bool {
         if !self.is_in_image(there) {
             return false;
@@ -183,8 +184,8 @@ impl View<'_> {
         owner != self.owner && (owner == NOBODY || self.raster.depth[there] > self.raster.depth[here])
     }
 
-    /// Where the ray that moves from a pixel to its neighbour touches the surface; none: it leaves the object at an end, or the
-    /// contour is so much along the scan line that the others count.
+    /// Returns the ray between a pixel and its neighbour that touches the surface; `None` if the scan line leaves the object at
+    /// an end, or if the contour is so flat to it that the other scan lines count.
     fn tangent(&self, q: &Coefficients, [u, v]: [i64; 2], [step_u, step_v]: [i64; 2]) -> Option<Tangent> {
         let camera = &self.raster.camera;
         let start = ray(camera, u, v);
@@ -192,7 +193,7 @@ impl View<'_> {
         let [pixel, other] = if step_u != 0 { [across_u, across_v] } else { [across_v, across_u] };
         let pixel = pixel * (step_u + step_v) as f64;
         let discriminant = |share: f64| Along::new(q, &(start + pixel * share)).discriminant();
-        // beyond half a pixel more the contour is not the edge that was seen
+        // more than half a pixel beyond the neighbour, the contour is not the visible edge
         let [seen, unseen] = [0.0, 1.5];
         if discriminant(seen) < 0.0 || discriminant(unseen) >= 0.0 {
             return None;
@@ -201,14 +202,14 @@ impl View<'_> {
         let along = Along::new(q, &ray);
         let per_pixel = along.change(&Along::change_of_ray(q, &ray, &pixel));
         let per_other = along.change(&Along::change_of_ray(q, &ray, &other));
-        // of two pieces at 45 degrees, rows have the one and columns the other
+        // at exactly 45 degrees, rows count one of two pieces and columns the other
         let is_steep = if step_u != 0 { per_pixel.abs() >= per_other.abs() } else { per_pixel.abs() > per_other.abs() };
         is_steep.then_some(Tangent { ray, per_pixel })
     }
 }
 
 fn inverse<const N: usize>(information: &SMatrix<f64, N, N>) -> Option<SMatrix<f64, N, N>> {
-    // parameters of different units: angles beside metres
+    // scaled, as the parameters have different units: radians and metres
     let scale = SVector::<f64, N>::from_fn(|i, _| information[(i, i)].sqrt().recip());
     if !scale.iter().all(|number| number.is_finite()) {
         return None;
@@ -237,7 +238,7 @@ impl Along {
         Self { a, b: x * r.x + y * r.y + z * r.z, c: *c }
     }
 
-    /// Its change where the ray moves by a step: `F` is quadratic, so the difference of two steps is exact.
+    /// Returns its change for a step of the ray; `F` is quadratic, so that the central difference is exact.
     fn change_of_ray(q: &Coefficients, ray: &Vector3<f64>, step: &Vector3<f64>) -> Self {
         let [forth, back] = [Self::new(q, &(ray + step)), Self::new(q, &(ray - step))];
         Self { a: 0.5 * (forth.a - back.a), b: 0.5 * (forth.b - back.b), c: 0.0 }
@@ -247,7 +248,7 @@ impl Along {
         self.b * self.b - 4.0 * self.a * self.c
     }
 
-    /// Change of the discriminant.
+    /// Returns the change of the discriminant.
     fn change(&self, by: &Self) -> f64 {
         2.0 * self.b * by.b - 4.0 * (by.a * self.c + self.a * by.c)
     }
@@ -261,7 +262,7 @@ struct Tangent {
 }
 
 impl Tangent {
-    /// How far it moves along the scan line by a change of the surface, in pixels.
+    /// Returns how far the tangent moves along the scan line for a change of the surface, in pixels.
     fn shift(&self, q: &Coefficients, change: &Coefficients) -> f64 {
         -Along::new(q, &self.ray).change(&Along::new(change, &self.ray)) / self.per_pixel
     }
@@ -276,7 +277,7 @@ mod tests {
     use std::f64::consts::PI;
 
     const SIGMA_M: f64 = 0.002;
-    /// So noisy that silhouettes tell most.
+    /// So much noise that most information is in the silhouettes.
     const VAGUE_M: f64 = 0.5;
     const JITTER_PX: f64 = 0.5;
 
@@ -318,7 +319,7 @@ mod tests {
         (shape, body)
     }
 
-    /// So far away that all rays are parallel: 120 pixels of radius.
+    /// So far away that all rays are nearly parallel; the radius is 120 pixels.
     const FAR: Camera = Camera { width: 400, height: 400, fx: 40_000.0, fy: 40_000.0, cx: 199.7, cy: 199.6 };
 
     fn assert_near(what: &str, number: f64, expected: f64, share: f64) {
@@ -349,7 +350,7 @@ mod tests {
         let across = variance(0.5 * (w2 - w0));
         let along = variance(w0 - w1 * w1 / w2);
         assert_near("position by depths", bounds.depths.position_m, (2.0 * across + along).sqrt(), 0.02);
-        // each of four quarters of the circle has scan lines R cos phi d phi, along which it moves by 1 / cos phi
+        // each quarter of the circle has scan lines R cos phi d phi, along which it moves by 1 / cos phi
         let edges = 8.0 * RADIUS_PX * (1.0 + 2_f64.sqrt()).ln() / (1.0 / 12.0 + JITTER_PX * JITTER_PX);
         for sigma_m in [SIGMA_M, VAGUE_M] {
             let bounds = super::bounds(&raster, 0, &body, &measuring_with(sigma_m, 70.0)).unwrap();
@@ -360,15 +361,15 @@ mod tests {
         assert_eq!((bounds.depths.axis, bounds.depths.half_angle), (None, None));
     }
 
-    /// A board before the left half takes its depths and its silhouette: half of the information about the radius that comes
-    /// from the contour, and a contour of the board that tells nothing.
+    /// A board in front of the left half hides its depths and silhouette: half of the contour's information about the radius is
+    /// lost, and the contour of the board has none.
     #[test]
     fn what_is_hidden_tells_nothing() {
         let (shape, body) = sphere(100.0, 0.3);
         let of = |shapes: &[Shape]| bounds(&Raster::of(FAR, shapes), 0, &body, &measuring(70.0)).unwrap();
         let (free, hidden) = (of(&[shape, wall(101.0, 5.0, [0.0; 2])]), of(&[shape, wall(99.0, 0.6, [-0.6, 0.0])]));
         assert_eq!(free, of(&[shape]), "before a wall or before nothing");
-        // half of the information, and of that a part goes into telling depth from place across
+        // half of the information, part of which goes into distinguishing depth from lateral position
         for (hidden, free) in [(hidden.depths, free.depths), (hidden.contour, free.contour)] {
             assert!(hidden.radius_m > 1.4 * free.radius_m, "{hidden:?} {free:?}");
             assert!(hidden.position_m > 1.4 * free.position_m, "{hidden:?} {free:?}");
@@ -376,8 +377,8 @@ mod tests {
         assert_eq!(bounds(&Raster::of(FAR, &[shape, wall(99.0, 5.0, [0.0; 2])]), 0, &body, &measuring(70.0)), None);
     }
 
-    /// A board before the right half of a sphere, or the lower half, takes half of the contour, and its own contour in the middle of
-    /// the sphere tells nothing.
+    /// A board in front of the right or lower half of a sphere hides half of the contour; its own contour, in the middle of the
+    /// sphere, has no information.
     #[test]
     fn the_contour_of_what_hides_an_object_tells_nothing_of_it() {
         let (shape, body) = sphere(100.0, 0.3);
@@ -393,14 +394,14 @@ mod tests {
         for (x, y) in [(0.6, 0.0), (-0.6, 0.0), (0.0, 0.6), (0.0, -0.6)] {
             let half = information(&[shape, wall(99.0, 0.6, [x, y])]);
             assert_near(&format!("the radius beside a board at {x}, {y}"), half[(3, 3)], 0.5 * free[(3, 3)], 0.03);
-            // The side that is seen tells both, by the mean of the cosine, 2 / pi, outwards.
+            // The visible side determines both; the mean of its cosine outwards is 2 / pi.
             let side = if x == 0.0 { 1 } else { 0 };
             let outwards = half[(3, side)] * -(x + y).signum();
             assert!(outwards > 0.5 * half[(3, 3)] && half[(3, 1 - side)].abs() < 0.05 * half[(3, 3)], "{half}");
         }
     }
 
-    /// An image that ends in the middle of a sphere shows half of its contour, and half of its depths.
+    /// An image that ends in the middle of a sphere shows half of its contour and of its depths.
     #[test]
     fn where_the_image_ends_is_no_contour() {
         let (shape, body) = sphere(100.0, 0.3);
@@ -423,7 +424,7 @@ mod tests {
         }
     }
 
-    /// The place that it tells is the one where the ray touches, not that of the pixel.
+    /// The position is that of the tangent ray, not that of the pixel.
     #[test]
     fn a_tangent_touches_the_surface_less_than_a_pixel_and_a_half_away() {
         let (shape, body) = sphere(100.0, 0.3);
@@ -436,7 +437,7 @@ mod tests {
                 let is_edge = view.is_farther([u, v], [u + step_u, v + step_v]);
                 let tangent = view.tangent(&q, [u, v], [step_u, step_v]).filter(|_| is_edge);
                 let Some(tangent) = tangent else { continue };
-                // Under rays that are nearly parallel the silhouette is a circle of this radius about the middle of the image.
+                // Under nearly parallel rays the silhouette is a circle of this radius around the middle of the image.
                 let place = FAR.fx * tangent.ray.xy().norm();
                 let radius_px = FAR.fx * (0.3_f64 / 100.0).asin().tan();
                 assert!((place - radius_px).abs() < 1e-3, "{place} {radius_px}");
@@ -446,13 +447,13 @@ mod tests {
                 count += 1;
             }
         }
-        // A circle has as many as its sides are wide and high between 45 degrees: 4 * 2 * 120 * cos 45.
+        // The number is that of columns and rows between 45 degrees on each side: 4 * 2 * 120 * cos 45.
         assert!((count as f64 - 8.0 * 120.0 * 0.5_f64.sqrt()).abs() < 12.0, "{count}");
     }
 
     const NEAR: Camera = Camera { width: 160, height: 120, fx: 131.0, fy: 133.0, cx: 80.3, cy: 58.7 };
 
-    /// Depths of the side, and the silhouette's places in the rows and columns, as the simulator's ray tracing has them.
+    /// Returns the depths of the side, and the silhouette's positions in rows and columns, as traced by the simulator.
     fn traced(shape: &Shape, pixels: &[[i64; 2]], edges: &[([i64; 2], [i64; 2])]) -> Vec<f64> {
         use crate::simulator::shapes::Surface as _;
         let depth = |[u, v]: &[i64; 2]| shape.hit(&Vector3::zeros(), &ray(&NEAR, *u, *v));
@@ -470,7 +471,7 @@ mod tests {
         pixels.iter().map(depth).chain(edges.iter().map(edge)).collect()
     }
 
-    /// The information by brute force: each parameter is moved a little forth and back, and all rays are traced anew.
+    /// Computes the information by brute force: moves each parameter a little forth and back, and traces all rays anew.
     fn by_differences(view: &View, conical: &Conical, length: f64) -> [DMatrix<f64>; 2] {
         const STEP: f64 = 1e-6;
         let q = conical.coefficients();
@@ -493,7 +494,7 @@ mod tests {
                 4 => radius += step,
                 _ => slope += step,
             }
-            // longer than it is, so that rays to its ends meet the side in all cases
+            // longer than the object, so that rays to its ends always meet the side
             traced(&frustum(middle, axis, radius, slope, 1.2 * length).0, &pixels, &edges)
         };
         let count = if conical.slope == 0.0 { 5 } else { 6 };
@@ -518,7 +519,7 @@ mod tests {
 
     #[test]
     fn cylinder_and_cone_agree_with_differences_of_traced_rays() {
-        // At 20 degrees the chance that a pixel is measured counts nearly everywhere; rays towards the rim of the image are longer.
+        // At 20 degrees most pixels have a reduced probability; rays towards the border of the image are longer.
         for (slope, sigma_m, dropout_deg) in [
             (0.0, SIGMA_M, 70.0),
             (0.15, SIGMA_M, 70.0),

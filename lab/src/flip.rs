@@ -1,32 +1,32 @@
-//! Images that are turned by right angles or mirrored, the camera that would have seen them so, and objects in its frame. A
-//! detector that is as good as its data has no favourite direction: what it finds is the same however a frame is turned.
+//! Images rotated by right angles or mirrored, the camera that would see them, and objects in its frame. An ideal detector has no
+//! preferred direction: it finds the same objects however a frame is turned.
 
 use conicflow_messages::{Camera, HAS_POSE, Header, Object, ObjectSigma};
 use nalgebra::{Matrix3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// How an image is turned or mirrored.
+/// The rotation or mirroring of an image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Flip {
-    /// As it is.
+    /// Unchanged.
     #[default]
     None,
-    /// A quarter turn: what is on the left comes to the top.
+    /// A quarter turn: the left side becomes the top.
     Clockwise,
-    /// A quarter turn: what is at the top comes to the left.
+    /// A quarter turn: the top becomes the left side.
     Counterclockwise,
     /// A half turn.
     UpsideDown,
-    /// Left and right change places.
+    /// Left and right are exchanged.
     Horizontal,
-    /// Top and bottom change places.
+    /// Top and bottom are exchanged.
     Vertical,
 }
 
 impl Flip {
-    /// For the new axes x and y: the old axis that each lies on, 0 or 1, and whether they point the same way.
+    /// Returns for the new axes x and y the old axis (0 or 1), and whether both point the same way.
     fn axes(self) -> [(usize, bool); 2] {
         match self {
             Self::None => [(0, true), (1, true)],
@@ -38,7 +38,7 @@ impl Flip {
         }
     }
 
-    /// The matrix that takes points of the camera's frame to those of the flipped camera's.
+    /// Returns the matrix from the camera's frame to the flipped camera's frame.
     fn matrix(self) -> Matrix3<f64> {
         let mut matrix = Matrix3::zeros();
         for (row, (column, same)) in self.axes().into_iter().enumerate() {
@@ -48,7 +48,7 @@ impl Flip {
         matrix
     }
 
-    /// The camera that sees the flipped image.
+    /// Returns the camera that sees the flipped image.
     pub fn camera(self, camera: &Camera) -> Camera {
         let (sizes, focal, center) = ([camera.width, camera.height], [camera.fx, camera.fy], [camera.cx, camera.cy]);
         let [x, y] = self.axes().map(|(axis, same)| {
@@ -58,7 +58,7 @@ impl Flip {
         Camera { width: x.0, height: y.0, fx: x.1, fy: y.1, cx: x.2, cy: y.2 }
     }
 
-    /// The header of the flipped frame. A camera in a mirror has no pose, as that is a rotation: the frame loses it.
+    /// Returns the header of the flipped frame. A mirrored frame loses its pose, since a pose is a rotation.
     pub fn header(self, header: &Header) -> Header {
         let mut flipped = Header { camera: self.camera(&header.camera), ..*header };
         let matrix = self.matrix();
@@ -74,14 +74,14 @@ impl Flip {
         flipped
     }
 
-    /// Writes the flipped image of what a camera of this size saw, row by row as that is.
+    /// Writes the flipped image of a camera; both images are stored row by row.
     ///
     /// # Panics
-    /// An image has not the pixels that the camera has.
+    /// An image does not have as many pixels as the camera.
     pub fn image(self, camera: &Camera, pixels: &[u16], flipped: &mut [u16]) {
         let sizes = [camera.width as usize, camera.height as usize];
         assert_eq!([pixels.len(), flipped.len()], [sizes[0] * sizes[1]; 2]);
-        // Where a pixel of the new image lies in the old one changes by one step along a row and by another from row to row.
+        // The old index of a pixel changes by one constant step along a row, and by another from row to row.
         let old_strides = [1, sizes[0]];
         let axes = self.axes();
         let corner: usize =
@@ -98,7 +98,7 @@ impl Flip {
         }
     }
 
-    /// The object in the frame of the flipped camera.
+    /// Returns the object in the frame of the flipped camera.
     pub fn object(self, object: &Object) -> Object {
         let matrix = self.matrix();
         let turned = |vector: [f64; 3]| (matrix * Vector3::from(vector)).into();
@@ -150,7 +150,7 @@ mod tests {
         }
     }
 
-    /// The pixel that shows a point shows it in the flipped image as well.
+    /// The pixel that shows a point shows it in the flipped image, too.
     #[test]
     fn a_point_stays_on_its_pixel() {
         let (camera, depth) = (camera(), 2.0);

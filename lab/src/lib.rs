@@ -1,13 +1,13 @@
-//! The laboratory: what the detection is measured with, and what it is compared with. No robot needs it.
+//! The laboratory: tools that measure the detection, and methods to compare it with. No robot needs it.
 //!
-//! - [`simulator`]: a depth camera in scenes whose objects are known, and random scenes by the thousand;
+//! - [`simulator`]: a depth camera in scenes with known objects, and thousands of random scenes;
 //! - [`paper`]: the method of Georgiev, Al-Hami and Lakaemper (2013), as the baseline: ellipses that grow point by point, and
 //!   objects section by section;
-//! - [`ransac`]: ellipses by random sample consensus, which the paper compares itself with;
+//! - [`ransac`]: ellipses by random sample consensus, with which the paper compares itself;
 //! - [`noise_estimator`]: the noise of a sensor from a recording;
-//! - [`flip`]: images turned and mirrored, as no detector should mind;
-//! - [`bound`]: how well an object can be measured at all;
-//! - [`score`]: what was found of what is there, and how well; [`experiment`]: tables and plots of that.
+//! - [`flip`]: images rotated and mirrored, which should not matter to a detector;
+//! - [`bound`]: the best possible accuracy for an object;
+//! - [`score`]: comparison of found with true objects; [`experiment`]: tables and plots of the scores.
 
 mod bisection;
 pub mod bound;

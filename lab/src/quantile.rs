@@ -1,8 +1,8 @@
-//! Quantiles of numbers: the one place that says where among the values that is.
+//! Quantiles: the one place that defines their position among the values.
 
 use std::cmp::Ordering;
 
-/// The value that comes after `rank` smaller ones. `None` if there are not so many; their order changes.
+/// Returns the value at position `rank` of the sorted values; `None` if there are not so many. Reorders the values.
 pub fn at_rank<T: Copy>(values: &mut [T], rank: usize, compare: impl FnMut(&T, &T) -> Ordering) -> Option<T> {
     if rank >= values.len() {
         return None;
@@ -10,17 +10,17 @@ pub fn at_rank<T: Copy>(values: &mut [T], rank: usize, compare: impl FnMut(&T, &
     Some(*values.select_nth_unstable_by(rank, compare).1)
 }
 
-/// The value below which a share (0 to 1) of the values lies: between two values it goes from one to the other along a line.
-/// `None` of no values; their order changes.
+/// Returns the value below which a share (0 to 1) of the values lies, with linear interpolation between two values; `None` if
+/// there are none. Reorders the values.
 pub fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
     let place = values.len().saturating_sub(1) as f64 * share;
     let lower = at_rank(values, place.floor() as usize, f64::total_cmp)?;
     let upper = at_rank(values, place.ceil() as usize, f64::total_cmp)?;
-    // infinities have no difference
+    // the difference of infinities is NaN
     Some(if lower == upper { lower } else { lower + (upper - lower) * place.fract() })
 }
 
-/// The median of numbers: of an even number the mean of the two in the middle.
+/// Returns the median; of an even number of values, the mean of the two in the middle.
 pub fn median(mut values: Vec<f64>) -> Option<f64> {
     quantile(&mut values, 0.5)
 }

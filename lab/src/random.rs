@@ -1,10 +1,10 @@
-//! Random numbers that depend on nothing but seed, frame and pixel, so that any frame can be made alone and on any
-//! machine with the same bits.
+//! Random numbers that depend only on seed, frame and pixel, so that any single frame can be made on any machine with the same
+//! bits.
 //!
-//! Counter-based: the n-th number is the n-th of a SplitMix64 sequence (Steele, Lea, Flood, "Fast splittable pseudorandom
-//! number generators", 2014), whose state after n steps is known without taking them. Gaussian numbers come from the
-//! inverse of the normal distribution in P. J. Acklam's rational approximation (relative error below 1.2e-9), which needs
-//! no function but a logarithm in the tails; that one is `libm`'s, since the platform's may differ in the last bit.
+//! Counter-based: the n-th number is the n-th of a SplitMix64 sequence (Steele, Lea, Flood, "Fast splittable pseudorandom number
+//! generators", 2014), whose state after n steps is known without taking them. Gaussian numbers come from P. J. Acklam's rational
+//! approximation of the inverse normal distribution (relative error below 1.2e-9). It only needs a logarithm in the tails: that
+//! of `libm`, as the platform's may differ in the last bit.
 
 const GOLDEN_RATIO: u64 = 0x9e37_79b9_7f4a_7c15;
 
@@ -42,7 +42,7 @@ fn mix(mut z: u64) -> u64 {
     z ^ (z >> 31)
 }
 
-/// The number below which a standard normal variable stays with probability `p`, 0 < p < 1.
+/// Returns the quantile of the standard normal distribution for the probability `p`, 0 < p < 1.
 #[inline]
 fn normal_quantile(p: f64) -> f64 {
     const TAIL: f64 = 0.02425;

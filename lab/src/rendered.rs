@@ -1,4 +1,4 @@
-//! Depth images of known bodies in front of the camera, for the tests of the detector, from the simulated camera.
+//! Depth images of known bodies in front of the simulated camera, for tests of the detector.
 
 use crate::simulator::SyntheticCamera;
 use crate::simulator::scene::{Body, Scene};
@@ -11,7 +11,7 @@ use conicflow_messages::{Camera, Header, NoiseModel};
 /// Half the resolution of a Kinect: 320 x 240.
 pub const KINECT_HALF: Camera = Camera { width: 320, height: 240, fx: 290.0, fy: 290.0, cx: 159.5, cy: 119.5 };
 
-/// The points p with `normal . p = offset`, for a unit `normal` and an `offset` in metres.
+/// Returns the plane of the points p with `normal . p = offset`, for a unit `normal` and an `offset` in metres.
 pub fn plane(normal: Vector3, offset: f64) -> Shape {
     Shape::Plane(Plane { point: normal * offset, normal, sides: across(&normal), half: [f64::INFINITY; 2] })
 }
@@ -21,7 +21,7 @@ pub fn sphere(center: Vector3, radius: f64) -> Shape {
     Shape::Sphere(Sphere { center, radius })
 }
 
-/// A cylinder whose second end is open: `center` is the middle of its `axis`, a unit vector; in metres.
+/// A cylinder with an open second end: `center` is the middle of its `axis`, a unit vector; in metres.
 pub fn cylinder(center: Vector3, axis: Vector3, radius: f64, length: f64) -> Shape {
     frustum(center, axis, radius, 0.0, length)
 }
@@ -38,19 +38,19 @@ pub fn frustum(center: Vector3, axis: Vector3, radius: f64, slope: f64, length: 
     })
 }
 
-/// A box with edges of `size` metres, turned about the vertical by `turn` radians.
+/// A box with edges of `size` metres, rotated about the vertical by `turn` radians.
 pub fn block(center: Vector3, size: Vector3, turn: f64) -> Shape {
     let axes = nalgebra::Rotation3::from_axis_angle(&Vector3::y_axis(), turn).into_inner();
     Shape::Block(Block { center, axes, half: size / 2.0 })
 }
 
-/// `bodies` and nothing behind them.
+/// A scene of these bodies, with nothing behind them.
 pub fn scene_of(bodies: &[Shape]) -> Scene {
     let bodies = bodies.iter().enumerate().map(|(i, shape)| Body::still(format!("body {i}"), *shape));
     Scene::still("test".into(), bodies.collect(), Vector3::zeros(), Vector3::z(), -Vector3::y())
 }
 
-/// A sensor with this noise and no other fault.
+/// A sensor with this noise and no other error.
 pub fn sensor_of(noise: NoiseModel) -> SensorConfig {
     let NoiseModel { floor_m, growth_per_m, knee_m, step_per_m } = noise;
     NoiseConfig::Coefficients(NoiseCoefficients { floor_m, growth_per_m, knee_m, step_per_m }).into()

@@ -1,4 +1,4 @@
-//! Mean and standard deviation of numbers that come one by one.
+//! Mean and standard deviation of numbers that are added one by one.
 //!
 //! B. P. Welford, "Note on a method for calculating corrected sums of squares and products", Technometrics 4, 1962.
 
@@ -19,22 +19,22 @@ impl RunningStats {
         self.squares += offset * (number - self.mean);
     }
 
-    /// How many were added.
+    /// Number of numbers added.
     pub fn count(&self) -> u64 {
         self.count
     }
 
-    /// Their mean; not a number where there are none.
+    /// Mean; NaN if there are none.
     pub fn mean(&self) -> f64 {
         if self.count == 0 { f64::NAN } else { self.mean }
     }
 
-    /// Their variance, with n - 1; not a number below two.
+    /// Variance with n - 1; NaN for fewer than two numbers.
     pub fn variance(&self) -> f64 {
         if self.count < 2 { f64::NAN } else { self.squares / (self.count - 1) as f64 }
     }
 
-    /// Their standard deviation, the root of that.
+    /// Standard deviation.
     pub fn deviation(&self) -> f64 {
         self.variance().sqrt()
     }

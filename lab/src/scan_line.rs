@@ -1,4 +1,4 @@
-//! The scan lines of a depth image as the baselines take them, and the messages of the ellipses that they fit to their points.
+//! The scan lines of a depth image for the baselines, and the messages of ellipses fitted to their points.
 
 use conicflow_detection::ScanLines;
 use conicflow_detection::camera::pinhole;
@@ -20,7 +20,7 @@ pub(crate) struct Point {
 #[derive(Debug)]
 pub(crate) struct ScanLine {
     number: u32,
-    /// Every so many lines of the image one is looked at.
+    /// Distance between the scan lines in use, in lines of the image.
     step: u32,
     pub plane: ScanPlane,
     pub points: Vec<Point>,
@@ -51,8 +51,7 @@ impl ScanLine {
         Self { number, step, plane, points: points.collect() }
     }
 
-    /// The message of the ellipse of those of its points that have these moments, the first and the last of which are at these
-    /// pixels.
+    /// Returns the message of an ellipse fitted to points with these moments; the first and the last point are at these pixels.
     pub fn message(
         &self,
         ellipse: &geometry::Ellipse,
@@ -83,7 +82,7 @@ impl ScanLine {
     }
 }
 
-/// The angle between two points of the arc of an ellipse as seen from its centre, over the side that faces the camera.
+/// Returns the angle between two points of an ellipse, seen from its centre, over the side that faces the camera.
 pub(crate) fn span(ellipse: &geometry::Ellipse, [first, last]: [[f64; 2]; 2]) -> f64 {
     let from_front = |[s, t]: [f64; 2]| (s - ellipse.center[0]).atan2(ellipse.center[1] - t);
     (from_front(last) - from_front(first)).abs()

@@ -1,4 +1,4 @@
-//! `conicflow detect`: the objects of recorded frames, in one command without a pipeline file.
+//! `conicflow detect`: finds the objects of recorded frames, in one command without a pipeline file.
 
 use super::invocation::say;
 use crate::recording::files::looks_like_recording;
@@ -19,14 +19,14 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// What the lines consist of.
+/// Type of the items in the lines.
 const OBJECTS: ItemType = ItemType::shown::<Object>();
-/// Poses are looked for beside the frames.
+/// Value of `--poses` that searches for poses beside the frames.
 const AUTO: &str = "auto";
-/// Reasons that are told where nothing was found.
+/// Number of reasons that are printed if nothing was found.
 const REASONS: usize = 5;
 
-/// What is looked at, and where the results go.
+/// The frames to read, and the destinations of the results.
 #[derive(Args)]
 #[command(group = ArgGroup::new("drawn").multiple(true))]
 pub struct DetectArguments {
@@ -39,13 +39,13 @@ pub struct DetectArguments {
     /// Metres per unit of depth [default: 0.001, of TUM folders 0.0002, of recordings as they say]
     #[arg(long, value_name = "M")]
     scale: Option<f64>,
-    /// Where the camera was: `auto` (7-Scenes, TUM or Open3D poses beside the frames), `none`, or a path
+    /// The camera's poses: `auto` (7-Scenes, TUM or Open3D poses beside the frames), `none`, or a path
     #[arg(long, value_name = "PATH", default_value = AUTO)]
     poses: String,
     /// The topic of a recording [default: the only one with depth images]
     #[arg(long, value_name = "TOPIC")]
     topic: Option<String>,
-    /// The sensor's depth noise; each image tells how noisy it is on top of that [default: kinect_v1, of recordings by conicflow
+    /// The sensor's depth noise; its level in each image is estimated in addition [default: kinect_v1, of recordings by conicflow
     /// as recorded]
     #[arg(long, value_name = "NAME")]
     noise: Option<NoiseName>,
@@ -61,28 +61,28 @@ pub struct DetectArguments {
     /// Draws every so many frames
     #[arg(long, value_name = "N", default_value_t = 1, requires = "drawn", value_parser = clap::value_parser!(u64).range(1..))]
     every: u64,
-    /// How many times as large as the frames the pictures are
+    /// Size of the pictures, as a multiple of the frames' size
     #[arg(long, value_name = "N", default_value_t = 1, requires = "pictures", value_parser = clap::value_parser!(u32).range(1..=8))]
     zoom: u32,
     /// Puts so many pictures, smaller, onto one contact sheet each, in the same folder
     #[arg(long, value_name = "N", requires = "pictures", value_parser = clap::value_parser!(u64).range(1..=100))]
     sheet: Option<u64>,
-    /// Writes the lines of JSON there; - stands for standard output
+    /// Writes the lines of JSON into this file; - stands for standard output
     #[arg(long, value_name = "FILE", default_value = STANDARD_OUTPUT)]
     out: PathBuf,
 }
 
-/// What stands for standard output in place of a file.
+/// Stands for standard output in place of a file.
 const STANDARD_OUTPUT: &str = "-";
 
 impl DetectArguments {
-    /// The file that the lines of JSON are written into, if any is.
+    /// Returns the file for the lines of JSON, unless they go to standard output.
     fn file(&self) -> Option<PathBuf> {
         (self.out != Path::new(STANDARD_OUTPUT)).then(|| self.out.clone())
     }
 }
 
-/// Four numbers with commas between them.
+/// Parses four numbers separated by commas.
 fn intrinsics(text: &str) -> Result<Intrinsics, String> {
     let numbers: Vec<f64> = text
         .split(',')
@@ -100,10 +100,10 @@ fn intrinsics(text: &str) -> Result<Intrinsics, String> {
     }
 }
 
-/// Finds the objects of all frames and writes them down.
+/// Finds the objects of all frames, and writes them as lines of JSON and as pictures.
 ///
 /// # Errors
-/// There are no frames, their camera is not known, or something cannot be written.
+/// There are no frames, their camera is not known, or an output cannot be written.
 pub fn detect(arguments: &DetectArguments) -> Result<()> {
     refuse_unfit(arguments)?;
     arguments.moving.as_deref().map_or(Ok(()), picture_sink::check_moving)?;
@@ -138,7 +138,7 @@ pub fn detect(arguments: &DetectArguments) -> Result<()> {
     frames.finish()
 }
 
-/// Refuses a path that leads to no frames, and options that have no effect on those to which it leads.
+/// Refuses a path without frames, and options that have no effect on its frames.
 fn refuse_unfit(arguments: &DetectArguments) -> Result<()> {
     let path = &arguments.path;
     if !path.exists() || is_special(path) {
@@ -159,7 +159,7 @@ fn refuse_unfit(arguments: &DetectArguments) -> Result<()> {
     }
 }
 
-/// Refuses to write what is read, and one file in two ways, before anything is made or opened.
+/// Refuses outputs that are also inputs or written twice, before anything is created or opened.
 fn refuse_to_overwrite(arguments: &DetectArguments) -> Result<()> {
     let here = Path::new("");
     let written: Vec<_> = FileUse::given(here, [("--out", &arguments.file())])
@@ -178,7 +178,7 @@ fn refuse_to_overwrite(arguments: &DetectArguments) -> Result<()> {
     Ok(())
 }
 
-/// The files that are read.
+/// Returns the files that are read.
 fn files_read(arguments: &DetectArguments) -> Vec<FileUse> {
     let here = Path::new("");
     match FramesConfig::of(arguments) {
@@ -187,7 +187,7 @@ fn files_read(arguments: &DetectArguments) -> Vec<FileUse> {
     }
 }
 
-/// What draws the frames as is asked for.
+/// Creates the sink for the pictures.
 fn pictures(arguments: &DetectArguments) -> Result<PictureSink<Object>> {
     PictureSink::open(&picture_config(arguments), Path::new(""), 0)
 }
@@ -205,7 +205,7 @@ fn picture_config(arguments: &DetectArguments) -> picture_sink::Config {
     }
 }
 
-/// The detector of a frame's camera; that of a point cloud may differ from frame to frame.
+/// Returns the detector for a frame's camera; the camera of point clouds may differ from frame to frame.
 fn detector_of<'a>(detector: &'a mut Option<(Header, Detector)>, header: &Header) -> &'a mut Detector {
     let is_other = |known: &Header| (known.camera, known.depth_scale) != (header.camera, header.depth_scale);
     detector.take_if(|(known, _)| is_other(known));
@@ -213,7 +213,7 @@ fn detector_of<'a>(detector: &'a mut Option<(Header, Detector)>, header: &Header
     &mut detector.get_or_insert_with(new).1
 }
 
-/// Which frames are looked at, and how they are read.
+/// The parameters of the source of frames.
 enum FramesConfig {
     Images(image_source::Config),
     Recording(mcap_source::Config),
@@ -237,7 +237,7 @@ impl FramesConfig {
     }
 }
 
-/// The frames that are looked at.
+/// The source of frames.
 enum Frames {
     Images(Box<Playback>),
     Recording(Box<Replay>),
@@ -254,7 +254,7 @@ impl Frames {
         })
     }
 
-    /// The header of the next frame that can be read, whose pixels are written, and when its file was read.
+    /// Reads the next readable frame: writes its pixels, and returns its header and the instant before it was decoded.
     fn next(&mut self, pixels: &mut Vec<u16>) -> Result<Option<(Instant, Header)>> {
         match self {
             Self::Images(playback) => {
@@ -276,16 +276,16 @@ impl Frames {
         }
     }
 
-    /// Makes sure that all frames could be read that were there at the beginning.
+    /// Returns an error if frames that were readable at the beginning could not be read later.
     fn finish(&self) -> Result<()> {
         match self {
             Self::Images(playback) => playback.finish(),
-            // It says so when it comes to the place.
+            // `next` has reported the error already.
             Self::Recording(_) => Ok(()),
         }
     }
 
-    /// What was counted on the way.
+    /// Returns the counts of the source.
     fn take_counts(&mut self) -> BTreeMap<&'static str, u64> {
         match self {
             Self::Images(playback) => playback.take_counts().collect(),
@@ -294,7 +294,7 @@ impl Frames {
     }
 }
 
-/// What was found in all frames.
+/// The results of all frames.
 #[derive(Default)]
 struct Totals {
     frames: u64,
@@ -313,7 +313,7 @@ impl Totals {
         }
     }
 
-    /// A line on what was found, and what the source counted; where nothing was found, why.
+    /// Returns a line with the number of found objects and the counts of the source; if nothing was found, also the reasons.
     fn text(&self, of_source: &BTreeMap<&'static str, u64>) -> String {
         let mut text = format!("in {} frames: ", self.frames);
         let found: Vec<String> = ObjectKind::ALL

@@ -1,4 +1,4 @@
-//! `conicflow doctor`: tells what is wrong with this machine for running a pipeline, and removes what dead runs have left.
+//! `conicflow doctor`: reports what is wrong with this machine for running a pipeline, and removes leftovers of dead runs.
 
 use crate::sources::v4l2_source::{Driver, LinuxVideo, V4l2Source};
 use crate::{NODES, REGISTRY};
@@ -7,7 +7,7 @@ use conicflow_dataflow::{NO_RUN, Plan, PlannedStage, Requirements, Source, clean
 use std::io::{Write, stdout};
 use std::process::ExitCode;
 
-/// Looks at this machine, after it removed what is dead if that is wanted; fails if something stays wrong.
+/// Examines this machine, after removing leftovers if `remove` is set; fails if a problem remains.
 ///
 /// # Errors
 /// Standard output cannot be written.
@@ -36,7 +36,7 @@ pub fn doctor(pipeline: &Pipeline, machine: Option<&str>, remove: bool) -> anyho
     Ok(ExitCode::SUCCESS)
 }
 
-/// The depth cameras that `v4l2_source` can read, a line each; where a stage wants one and there is none, that is said.
+/// Lists the depth cameras that `v4l2_source` can read, one per line; reports if there is none although a stage needs one.
 fn cameras(driver: &impl Driver, plans: &[Plan]) -> String {
     let devices = driver.devices();
     let wants = |stage: &PlannedStage| stage.runs.name() == V4l2Source::NAME;

@@ -1,5 +1,5 @@
-//! Runs experiments: a pipeline file with an `[experiment]` is run once for each combination of the values that it varies, and
-//! what its measuring sinks found becomes one table.
+//! Runs experiments: a pipeline file with an `[experiment]` runs once for each combination of the varied values, and the rows of
+//! its measuring sinks become one table.
 
 use anyhow::{Context as _, Result, bail, ensure};
 use conicflow_dataflow::pipeline::{Pipeline, Program};
@@ -11,7 +11,7 @@ use indexmap::IndexSet;
 use std::path::PathBuf;
 use tempfile::TempDir;
 
-/// A sink that leaves rows, and the columns of these.
+/// Name of a sink that writes rows, and the function that returns their columns.
 type RowSink = (&'static str, fn() -> Vec<&'static str>);
 
 const SINKS: [RowSink; 4] = [
@@ -21,17 +21,17 @@ const SINKS: [RowSink; 4] = [
     ("limit_sink", || limit::columns().collect()),
 ];
 
-/// The columns of the rows that a stage leaves, if it leaves some.
+/// Returns the columns of the rows that a stage writes, if it writes some.
 fn columns_of(program: &Program) -> Option<Vec<&'static str>> {
     let Program::Node(node) = program else { return None };
     SINKS.iter().find(|(name, _)| *name == node.name).map(|(_, columns)| columns())
 }
 
-/// Refuses columns that no row will have or that are there twice, an experiment without a stage that leaves rows, and a table or
-/// plot over what is read.
+/// Refuses columns that no row has or that are there twice, experiments without a stage that writes rows, and a table or plot
+/// over an input file.
 ///
 /// # Errors
-/// The key that names such a column, with those that there are, or such a file.
+/// The error names the key with such a column, and the possible ones, or such a file.
 pub fn check(experiment: &Experiment, pipeline: &Pipeline) -> Result<()> {
     let plot = experiment.plot.as_ref().map(|plot| plot.path.clone());
     for files in FileUse::given(&pipeline.base, [("csv", &experiment.csv), ("plot.path", &plot)]) {
@@ -41,7 +41,7 @@ pub fn check(experiment: &Experiment, pipeline: &Pipeline) -> Result<()> {
     experiment.check_columns(&columns(experiment, pipeline)?)
 }
 
-/// What is varied, what the sinks leave, and the times of all stages.
+/// Returns all columns: the varied values, the figures of the sinks, and the times of all stages.
 fn columns(experiment: &Experiment, pipeline: &Pipeline) -> Result<Vec<String>> {
     let measured: Vec<_> = pipeline.stages.iter().filter_map(|stage| columns_of(&stage.program)).flatten().collect();
     ensure!(
@@ -64,7 +64,7 @@ fn columns(experiment: &Experiment, pipeline: &Pipeline) -> Result<Vec<String>> 
     Ok(varied.into_iter().chain(found).collect())
 }
 
-/// The tables that are printed.
+/// Returns the tables that are printed.
 pub fn tables(experiment: &Experiment, results: &Results) -> String {
     let below = results.spread().into_iter().chain(results.sums()).map(|table| format!("\n{}", laid_out(table)));
     format!("{}\n\n{}{}", experiment.title, laid_out(results.table()), below.collect::<String>())
@@ -76,17 +76,17 @@ fn laid_out((titles, rows): (Vec<String>, Vec<Vec<String>>)) -> Table {
     table
 }
 
-/// Where the sinks of one run leave their rows.
+/// The rows of one run, which its sinks write into a temporary folder.
 pub struct Rows {
     folder: TempDir,
     stages: Vec<String>,
 }
 
 impl Rows {
-    /// Rows of the pipeline's measuring stages, in a folder of their own.
+    /// Creates a folder for the rows of the pipeline's measuring stages.
     ///
     /// # Errors
-    /// The folder cannot be made.
+    /// The folder cannot be created.
     pub fn of(pipeline: &Pipeline) -> Result<Self> {
         let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
         let stages = pipeline.stages.iter().filter(|stage| columns_of(&stage.program).is_some());
@@ -97,15 +97,15 @@ impl Rows {
         self.folder.path().join(format!("{stage}.jsonl"))
     }
 
-    /// What has to be set for the sinks to leave them there.
+    /// Returns the parameters that make the sinks write their rows there.
     pub fn overrides(&self) -> impl Iterator<Item = String> {
         self.stages.iter().map(|stage| format!("{stage}.path={:?}", self.path(stage).display().to_string()))
     }
 
-    /// Reads the rows of a run: what was varied, the stage, its figures, and the times of all stages.
+    /// Reads the rows of a run: the varied values, the stage, its figures, and the times of all stages.
     ///
     /// # Errors
-    /// A sink left none, or something else.
+    /// A sink has written no rows, or they cannot be parsed.
     pub fn read(&self, variation: &Variation, summary: &Summary) -> Result<Vec<Row>> {
         let mut rows = Vec::new();
         for stage in &self.stages {
@@ -128,8 +128,8 @@ fn figures(line: &str) -> Result<Vec<(String, Figure)>> {
     cells.into_iter().map(|(column, cell)| Ok((column, serde_json::from_value(cell)?))).collect()
 }
 
-/// The median time of each stage's step, and the rate at which messages came through all of them: that of the slowest
-/// writer, from its first message to its last.
+/// Adds the median time of each stage's step, and the message rate of the whole pipeline: that of the slowest writer, from its
+/// first message to its last.
 fn add_times(row: &mut Row, summary: &Summary) {
     let mut longest = f64::NAN;
     for StageSummary { planned, status } in &summary.stages {

@@ -1,4 +1,4 @@
-//! What several commands have in common: the pipeline file that is named, how its stages are run, and what is said meanwhile.
+//! Common parts of several commands: reading the pipeline file, the options to run its stages, and messages to the user.
 
 use crate::{NODES, REGISTRY};
 use anyhow::{Context, anyhow, bail};
@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 
 const BUILT_IN: &str = include_str!("../../pipeline.toml");
 const DEFAULT_FILE: &str = "pipeline.toml";
-/// No pipeline file is longer.
+/// Longest pipeline file that is read, in bytes.
 const MOST_BYTES: u64 = 1 << 24; // [algorithmic]
 
 #[derive(Args, Default)]
@@ -25,14 +25,14 @@ pub struct FileArguments {
 }
 
 impl FileArguments {
-    /// The pipeline as the machine that was named needs it; where none was, as all of them do.
+    /// Reads the pipeline as the named machine needs it, or without a name, as all machines need it.
     pub fn read_for(&self, machine: Option<&str>) -> anyhow::Result<Pipeline> {
         let pipeline = self.read_on(machine)?;
         machine.map_or(Ok(()), |machine| check_machine(&pipeline, Some(machine)))?;
         Ok(pipeline)
     }
 
-    /// The pipeline as one of its machines needs it.
+    /// Reads the pipeline as one of its machines needs it, and prints warnings.
     pub fn read_on(&self, machine: Option<&str>) -> anyhow::Result<Pipeline> {
         let (pipeline, warnings) = self.read_with(machine, &[])?;
         if !warnings.0.is_empty() {
@@ -41,13 +41,13 @@ impl FileArguments {
         Ok(pipeline)
     }
 
-    /// The pipeline with further parameters set; those of the command line have the last word.
+    /// Reads the pipeline with further parameters set; those of the command line take precedence.
     pub fn read_with(&self, machine: Option<&str>, further: &[String]) -> anyhow::Result<(Pipeline, Report)> {
         let (source, base) = self.text()?;
         Ok(Pipeline::read_on(machine, source, &base, &[further, &self.overrides].concat(), &REGISTRY)?)
     }
 
-    /// The text of the file and the folder of its paths; of the built-in pipeline that is the current folder.
+    /// Returns the text of the file and the base folder of its paths; for the built-in pipeline, the current folder.
     pub fn text(&self) -> anyhow::Result<(SourceText, PathBuf)> {
         let default = Path::new(DEFAULT_FILE);
         let file = self.file.as_deref().or(default.is_file().then_some(default));
@@ -57,7 +57,7 @@ impl FileArguments {
         };
         let text = read_text(file, MOST_BYTES).map_err(|error| {
             let hint = match error.kind() {
-                // A folder, or a recording.
+                // FILE is a folder or a recording.
                 ErrorKind::IsADirectory | ErrorKind::InvalidData => {
                     "`conicflow detect` takes frames and recordings; a pipeline file names them with --set source.path=.."
                 }
@@ -70,14 +70,14 @@ impl FileArguments {
     }
 }
 
-/// A folder, whose name goes to the stages as text.
+/// Refuses a folder whose name is no text, as the stages get it as text.
 fn in_utf8(folder: PathBuf) -> anyhow::Result<PathBuf> {
     let hint = "rename it, or put the pipeline file into another folder";
     let fault = || Hinted::new(format!("the name of the folder `{}` is not UTF-8", folder.display()), hint);
     if folder.to_str().is_some() { Ok(folder) } else { bail!(fault()) }
 }
 
-/// Makes sure that a pipeline of several machines says which of them this is, and that it has that one.
+/// Checks that a machine is named if the pipeline has several, and that the pipeline has it.
 pub fn check_machine(pipeline: &Pipeline, machine: Option<&str>) -> anyhow::Result<()> {
     let names: Vec<_> = pipeline.machines.keys().map(|name| format!("`{name}`")).collect();
     match machine {
@@ -102,13 +102,13 @@ pub fn check_machine(pipeline: &Pipeline, machine: Option<&str>) -> anyhow::Resu
     Ok(())
 }
 
-/// How stages are run by this program.
+/// Returns the options to run stages with this program.
 pub fn options(log: &str) -> anyhow::Result<RunOptions> {
     let program = std::env::current_exe().context("cannot find this program's own file, which runs the stages")?;
     Ok(RunOptions { program, nodes: NODES, log: Some(log.to_owned()), ..RunOptions::default() })
 }
 
-/// Writes a line to standard error; that nobody reads it any more is no fault of the run.
+/// Writes a line to standard error; a closed standard error is ignored.
 pub fn say(text: impl Display) {
     writeln!(stderr(), "{text}").ok();
 }

@@ -1,10 +1,9 @@
-//! The keys of `conicflow run` at a terminal: space pauses the run or lets it go on, `.` or the right arrow lets it make one
-//! frame.
+//! Keys of `conicflow run` at a terminal: space pauses or resumes the run, `.` or the right arrow makes one frame.
 //!
-//! A process of its own reads them. However the launcher ends, also by SIGKILL, that process gives the terminal back as it was;
-//! and however that process ends, the launcher does. At Ctrl-Z the launcher ends it before the run stops, for then the shell
-//! takes the terminal and what is typed is the shell's, and starts another one when the run goes on. A terminal whose modes
-//! somebody else has set since, such as a shell that waits for a line, is left alone, as is that of a run in the background.
+//! A separate process reads them. However the launcher ends, even by SIGKILL, that process restores the terminal's modes; and if
+//! that process dies, the launcher restores them. At Ctrl-Z the launcher ends it before the run stops, as the terminal belongs to
+//! the shell then, and starts another one when the run continues. The modes are left alone if another program has changed them
+//! since, such as a shell that waits for a line, or if the run is in the background.
 
 use anyhow::{Context, Result};
 use conicflow_dataflow::{PauseRequest, RunningPipeline, lock};
@@ -20,21 +19,21 @@ use std::sync::Mutex;
 use std::thread::sleep;
 use std::time::Duration;
 
-/// The command by which this program reads keys; people do not call it.
+/// The hidden command by which this program reads keys.
 pub const NAME: &str = "keys";
-/// A run in the background looks this often whether it came to the foreground.
+/// Period at which a run in the background checks whether it came to the foreground.
 const FOREGROUND_CHECK_PERIOD: Duration = Duration::from_millis(200);
-/// Starts what reads the keys, which may set the modes of a terminal that a shell has taken back (without SIGTTOU), and which the
-/// launcher, not Ctrl-Z, ends.
+/// Starts the process that reads keys. It has to set the modes of a terminal that a shell has taken back (without SIGTTOU), and
+/// has to be ended by the launcher, not stopped by Ctrl-Z.
 const START: &str = "trap '' TTOU TSTP; exec \"$@\"";
-/// What a terminal sends for the right arrow, in both of its modes.
+/// Bytes of the right arrow, in both modes of a terminal.
 const RIGHT: [&[u8]; 2] = [b"\x1b[C", b"\x1bOC"];
 
-/// The keys of a run, until this is dropped.
+/// Reads the keys of a run until it is dropped.
 pub struct Keys;
 
 impl Keys {
-    /// Reads the keys for a pipeline, where there is a terminal; a run that nobody can pause by them is a run all the same.
+    /// Starts reading the keys for a pipeline, if there is a terminal; the run goes on if that fails.
     pub fn read_for(pipeline: &str) -> Self {
         *lock(&READER) = Reader::start(pipeline);
         Self
@@ -47,7 +46,7 @@ impl Drop for Keys {
     }
 }
 
-/// Stops the run as `stop` does it, and reads no keys meanwhile.
+/// Calls `stop`, which stops the run, and reads no keys meanwhile.
 pub fn stop_without(stop: &dyn Fn()) {
     let Some(ended) = lock(&READER).take() else { return stop() };
     let pipeline = ended.pipeline.clone();
@@ -56,11 +55,11 @@ pub fn stop_without(stop: &dyn Fn()) {
     *lock(&READER) = Reader::start(&pipeline);
 }
 
-/// What reads the keys of this process's run; dropped, it has ended, and the terminal is as it was.
+/// The process that reads the keys of this run; dropping it ends the process and restores the terminal.
 struct Reader {
     pipeline: String,
     process: Child,
-    /// How the terminal was, where the run is in its foreground.
+    /// Modes of the terminal before, if the run is in its foreground.
     before: Option<Termios>,
 }
 
@@ -82,7 +81,7 @@ impl Reader {
 impl Drop for Reader {
     fn drop(&mut self) {
         if let Some(process) = Pid::from_raw(self.process.id().cast_signed()) {
-            // It may be stopped, or be gone.
+            // The process may be stopped, or gone.
             kill_process(process, Signal::TERM).ok();
             kill_process(process, Signal::CONT).ok();
         }
@@ -90,23 +89,23 @@ impl Drop for Reader {
         if let Some(before) = &self.before
             && is_foreground()
         {
-            // What else could be done with a terminal that refuses it?
+            // Nothing else can be done with a terminal that refuses its modes.
             tcsetattr(stdin(), OptionalActions::Now, before).ok();
         }
     }
 }
 
-/// Whether the terminal is that of this process's job now.
+/// Whether this process's job is in the foreground of the terminal.
 fn is_foreground() -> bool {
     tcgetpgrp(stdin()).is_ok_and(|group| group == getpgrp())
 }
 
-/// A terminal that gives keys as they are pressed, and is given back.
+/// A terminal that passes keys on as they are pressed; its modes are restored in the end.
 #[derive(Default)]
 struct Terminal {
-    /// How it was when this process met it.
+    /// Modes before this process changed them.
     before: Option<Termios>,
-    /// How it is since it was taken.
+    /// Modes as this process has set them.
     taken: Option<Termios>,
 }
 
@@ -120,7 +119,7 @@ impl Terminal {
             None => self.before.insert(tcgetattr(stdin())?),
         };
         let mut by_key = before.clone();
-        // Ctrl-C and Ctrl-Z stay what they are.
+        // Ctrl-C and Ctrl-Z keep their meaning.
         by_key.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);
         by_key.special_codes[SpecialCodeIndex::VMIN] = 1;
         by_key.special_codes[SpecialCodeIndex::VTIME] = 0;
@@ -129,7 +128,7 @@ impl Terminal {
         Ok(())
     }
 
-    /// Makes it what it was, if it is still as it was taken.
+    /// Restores the modes, unless another program has changed them since.
     fn give_back(&mut self) {
         let Some((before, taken)) = self.before.as_ref().zip(self.taken.take()) else { return };
         let modes = |terminal: &Termios| (terminal.input_modes, terminal.output_modes, terminal.local_modes);
@@ -145,7 +144,7 @@ impl Drop for Terminal {
     }
 }
 
-/// Obeys the keys until the launcher, the process `launcher`, has ended or says so.
+/// Obeys the keys until the launcher, the process `launcher`, has ended or sends a signal.
 ///
 /// # Errors
 /// There is no terminal, or signals cannot be received.
@@ -154,7 +153,7 @@ pub fn read(pipeline: &str, launcher: i32) -> Result<()> {
     let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP, SIGQUIT])?;
     let mut terminal = Terminal::default();
     while getppid().is_some_and(|parent| parent.as_raw_nonzero().get() == launcher) {
-        // The launcher ends the run after Ctrl-C, and then this process.
+        // After Ctrl-C the launcher ends the run, and then this process.
         if signals.pending().any(|signal| signal != SIGINT) {
             return Ok(());
         }
@@ -170,13 +169,13 @@ pub fn read(pipeline: &str, launcher: i32) -> Result<()> {
     Ok(())
 }
 
-/// What was pressed since, waited for no longer than until the next look; none where the terminal is gone.
+/// Returns the keys pressed within [`FOREGROUND_CHECK_PERIOD`]; `None` if the terminal is gone.
 fn next_keys() -> Result<Option<Vec<u8>>> {
     let input = stdin();
     let mut ready = [PollFd::new(&input, PollFlags::IN)];
     let patience = Timespec { tv_sec: 0, tv_nsec: FOREGROUND_CHECK_PERIOD.as_nanos() as i64 };
     match poll(&mut ready, Some(&patience)) {
-        // Whoever reads in the background stops its whole job.
+        // Reading in the background would stop the whole job.
         Ok(0) | Err(Errno::INTR) => return Ok(Some(Vec::new())),
         Ok(_) if !is_foreground() => return Ok(Some(Vec::new())),
         Ok(_) => {}
@@ -191,7 +190,7 @@ fn next_keys() -> Result<Option<Vec<u8>>> {
     }
 }
 
-/// What these keys stand for; others stand for nothing.
+/// Returns the requests of these keys; other keys have no effect.
 fn requests(mut keys: &[u8]) -> impl Iterator<Item = PauseRequest> {
     std::iter::from_fn(move || {
         while let Some((first, rest)) = keys.split_first() {
@@ -220,7 +219,7 @@ fn obey(pipeline: &str, request: PauseRequest) {
         Ok(_) => None,
         Err(error) => Some(error.to_string()),
     };
-    // The line of the progress is written over.
+    // Overwrites the line with the progress.
     told.into_iter().for_each(|told| {
         writeln!(stderr(), "\r\x1b[K{told}").ok();
     });

@@ -1,8 +1,8 @@
-//! The metrics of a run for Prometheus, at the address that the pipeline file names: what `top` shows, as counters and histograms
-//! in the text format of OpenMetrics.
+//! Serves the metrics of a run for Prometheus at the address in the pipeline file: the content of `top`, as counters and
+//! histograms in the text format of OpenMetrics.
 //!
-//! The stages notice nothing of it: their records are read, which they keep anyway. The launcher does not either: the server has
-//! threads of its own, which give way to those at work.
+//! The stages are not disturbed: the server reads the records that they keep anyway. Neither is the launcher: the server has its
+//! own threads, of low priority.
 
 use anyhow::Context;
 use conicflow_dataflow::pipeline::Pipeline;
@@ -22,33 +22,33 @@ use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 const PATH: &str = "/metrics";
-/// What is at fault.
+/// The subject of errors.
 const OF_FILE: &str = "`metrics` of the pipeline file";
 const KIND: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
-/// Whoever asks more often is answered with the same: the records are not read for each.
+/// Requests within this time get the same answer, without another look at the records.
 const FRESH: Duration = Duration::from_millis(200);
-/// Octaves of times that histograms tell apart, in seconds: shorter times are in the first, longer ones in the last.
+/// Range of the histograms' buckets, in seconds: shorter times count in the first bucket, longer ones in the last.
 const SHORTEST_S: f64 = 60e-6;
 const LONGEST_S: f64 = 10.0;
 
-/// Offers the metrics of a pipeline's run where its file says so for this machine, until this is dropped.
+/// Serves the metrics of a pipeline's run, if its file says so for this machine, until the server is dropped.
 ///
 /// # Errors
-/// The address cannot be listened at, or the token will not do.
+/// The address cannot be used, or the token is not valid.
 pub fn offer(pipeline: &Pipeline, machine: Option<&str>) -> anyhow::Result<Option<Server>> {
     let Some(listen) = listen(pipeline, machine)? else { return Ok(None) };
     let metrics = Metrics { pipeline: pipeline.name.clone(), last: Mutex::default() };
     let server = Server::start(&listen, metrics).context(OF_FILE)?;
-    // The token stands in the file, and has no place in a log.
+    // The token is in the file, and should not be in a log.
     let address = server.url().split("/?").next().unwrap_or_default().trim_end_matches('/');
     tracing::info!("metrics are at {address}{PATH}");
     Ok(Some(server))
 }
 
-/// Where the file says that this machine offers metrics.
+/// Returns the address at which this machine serves metrics according to the file.
 ///
 /// # Errors
-/// The token will not do.
+/// The token is not valid.
 pub fn listen(pipeline: &Pipeline, machine: Option<&str>) -> anyhow::Result<Option<Listen>> {
     let Some(metrics) = pipeline.metrics_on(machine) else { return Ok(None) };
     let listen = match &metrics.token {
@@ -90,18 +90,18 @@ impl Metrics {
     }
 }
 
-/// Metrics of a pipeline in the text format.
+/// Returns the metrics of a pipeline in the text format.
 fn text(pipeline: &str, metrics: impl Collector) -> String {
     let labels = [("pipeline".into(), pipeline.to_owned().into())];
     let mut registry = Registry::with_prefix_and_labels("conicflow", labels.into_iter());
     registry.register_collector(Box::new(metrics));
     let mut text = String::new();
-    // A text grows without fail.
+    // Writing to a string cannot fail.
     encode(&mut text, &registry).ok();
     text
 }
 
-/// What tells the samples of a metric from each other.
+/// Labels that distinguish the samples of a metric.
 type Labels = Vec<(&'static str, String)>;
 
 struct Run(RunRecord);
@@ -310,7 +310,7 @@ impl Families<'_> {
     }
 }
 
-/// The upper ends of a histogram's buckets, with how many times are in each.
+/// Returns the upper ends of a histogram's buckets, with the number of times in each.
 fn buckets(times: &Durations) -> Vec<(f64, u64)> {
     let (mut buckets, mut shorter) = (Vec::new(), 0);
     for (end, count) in times.octaves() {
@@ -331,7 +331,7 @@ fn of_edge(topic: &str, stage: &StageRecord) -> Labels {
     vec![("topic", topic.to_owned()), ("stage", stage.planned.name.clone())]
 }
 
-/// Named counts of a stage.
+/// Returns the named counts of a stage.
 fn named<'s>(
     stage: &'s StageRecord,
     label: &'static str,

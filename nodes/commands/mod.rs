@@ -1,4 +1,4 @@
-//! The command line: what each command prints, and with which code it exits (0 done, 1 failed, 2 wrong file or arguments).
+//! The command line: the output of each command, and its exit code (0 done, 1 failed, 2 wrong file or arguments).
 
 mod compare;
 mod detect;
@@ -42,7 +42,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use swap::SwapArguments;
 use topic::{PipelineName, TopicCommand};
 
-/// Exit code for what was begun and could not be done.
+/// Exit code of a command that began and failed.
 const FAILED: u8 = 1;
 /// Exit code for a wrong file or wrong arguments.
 const WRONG_INPUT: u8 = 2;
@@ -53,8 +53,7 @@ const WRONG_INPUT: u8 = 2;
 struct CommandLine {
     #[command(subcommand)]
     command: Option<Command>,
-    /// What is logged, by each stage as well: error, warn, info, debug or trace; a filter such as
-    /// conicflow_dataflow=debug works too
+    /// Log level, of each stage as well: error, warn, info, debug or trace; a filter such as conicflow_dataflow=debug works too
     #[arg(
         long,
         global = true,
@@ -75,7 +74,7 @@ enum Command {
     Run(RunArguments),
     /// Find the objects of a depth image, a folder of them or an MCAP recording, without a pipeline file
     Detect(detect::DetectArguments),
-    /// Run two variants of a pipeline on the same frames, and tell how their answers and their times differ
+    /// Run two variants of a pipeline on the same frames, and print how their answers and their times differ
     ///
     /// Objects are matched one to one, frame by frame. Each variant runs as `conicflow run` would run it, but without a loss and
     /// without its sinks, one after the other; the times of its stages are those from taking a message until sending one.
@@ -124,13 +123,13 @@ enum Command {
     ///
     /// Foxglove, Rerun and ROS 2 read the file; mcap_source replays it.
     Record(record::RecordArguments),
-    /// Show what runs, or a recording, on a page for the browser: the depth image, the objects in space, the stages
+    /// Show running pipelines, or a recording, on a page for the browser: the depth image, the objects in space, the stages
     ///
-    /// The address of the page is printed. It is seen on this machine alone, unless `--listen` says otherwise.
+    /// The address of the page is printed. It is only visible on this machine, unless `--listen` says otherwise.
     View(view::ViewArguments),
     /// Replace a stage of a running pipeline, with other parameters or another node; the others notice nothing
     Swap(SwapArguments),
-    /// Tell what is wrong with this machine for running a pipeline: leftovers of dead runs, limits, ports
+    /// Report what is wrong with this machine for running a pipeline: leftovers of dead runs, limits, ports
     Doctor {
         #[command(flatten)]
         source: FileArguments,
@@ -143,7 +142,7 @@ enum Command {
     },
     /// Make the key by which the machines of a pipeline know each other's messages
     ///
-    /// Copy the file to all of them, and name it in each machine's table: key = "pipeline.key". Whoever can read it can send.
+    /// Copy the file to all of them, and name it in each machine's table: key = "pipeline.key". Anyone who can read it can send.
     Key {
         /// The file, which must not be there yet
         #[arg(default_value = "pipeline.key")]
@@ -156,7 +155,7 @@ enum Command {
         /// Name of a node
         name: Option<String>,
     },
-    /// Print what a shell completes these commands by
+    /// Print a script with which a shell completes these commands
     Completions {
         /// The shell
         shell: clap_complete::Shell,
@@ -190,12 +189,12 @@ struct RunArguments {
 pub fn main() -> ExitCode {
     let arguments = CommandLine::parse();
     log_to_standard_error(&arguments.log);
-    // That a file may not become larger is told by the write that fails, and is no reason to be killed.
+    // A file that may not become larger is reported by the write that fails, and should not kill the process.
     signal_hook::flag::register(SIGXFSZ, Arc::default()).ok();
     let command = arguments.command.unwrap_or_else(|| Command::Run(RunArguments::default()));
     match dispatch(command, &arguments.log) {
         Ok(code) => code,
-        // Who reads the output and goes (`| head`) has seen enough.
+        // A reader of the output that goes away (`| head`) has seen enough.
         Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
             say(describe(&error));
@@ -239,12 +238,12 @@ fn dispatch(command: Command, log: &str) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// The text of an error and its causes; a report speaks for itself.
+/// Returns the text of an error and its causes; a report is printed as it is.
 fn describe(error: &anyhow::Error) -> String {
     if error.is::<Report>() { error.to_string() } else { error_text(format_args!("{error:#}")) }
 }
 
-/// What the system refuses, such as a place on a full disk, is no wrong input.
+/// Returns the exit code; an error of the system, such as a full disk, is no wrong input.
 fn exit_code(error: &anyhow::Error) -> u8 {
     let refused = error.chain().any(|cause| cause.is::<io::Error>()) || lasts(error.as_ref());
     let of_stage = error.downcast_ref().map(ProcessError::exit_code);
@@ -292,9 +291,9 @@ fn run(arguments: &RunArguments, log: &str) -> anyhow::Result<ExitCode> {
     Ok(if summary.is_complete() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// Makes sure that no pipeline runs which has the name of this one, or writes its files.
+/// Checks that no other running pipeline has the name of this one, or writes its files.
 fn look_beside(plan: &Plan) -> anyhow::Result<()> {
-    // A folder that cannot be read is told of when the run begins.
+    // A folder that cannot be read is reported when the run begins.
     for other in RunningPipeline::all().unwrap_or_default() {
         if other.plan.pipeline == plan.pipeline {
             bail!(LaunchError::from(FolderError::Running { name: other.plan.pipeline }));
@@ -304,7 +303,7 @@ fn look_beside(plan: &Plan) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What an experiment varies; the command line, which has the last word, must not take that away.
+/// Returns the variations of an experiment; refuses command-line parameters that would override them.
 fn variations(experiment: &Experiment, source: &FileArguments) -> anyhow::Result<Vec<Variation>> {
     let variations = experiment.variations()?;
     let key = |set: &str| set.split_once('=').map_or(set, |(key, _)| key).trim().to_owned();
@@ -323,7 +322,7 @@ fn variations(experiment: &Experiment, source: &FileArguments) -> anyhow::Result
     Ok(variations)
 }
 
-/// Runs a pipeline for each combination of what its experiment varies, and prints one table.
+/// Runs a pipeline for each variation of its experiment, and prints one table.
 fn run_experiment(
     pipeline: &Pipeline,
     experiment: &Experiment,
@@ -361,7 +360,7 @@ fn run_experiment(
     Ok(if is_complete { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// Why the rows of a run do not count, if they do not.
+/// Returns the reason why the rows of a run do not count, if there is one.
 fn disturbance(summary: &Summary, is_interrupted: bool) -> Option<&'static str> {
     if is_interrupted {
         Some("was ended from outside")
@@ -381,7 +380,7 @@ fn run_once(pipeline: &Pipeline, arguments: &RunArguments, quiet: bool, log: &st
     Ok(conicflow_dataflow::run(&plan, &options)?)
 }
 
-/// Runs one stage here: of the run that this process was started in, or of a file, for a debugger.
+/// Runs one stage in this process: of the run that started this process, or of a file, for a debugger.
 fn node(stage: &str, file: Option<PathBuf>, machine: Option<&str>, log: &str) -> anyhow::Result<()> {
     if file.is_none() && std::env::var_os(conicflow_dataflow::PIPELINE).is_some() {
         return Ok(conicflow_dataflow::run_in_run(&REGISTRY)?);

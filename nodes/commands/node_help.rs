@@ -1,4 +1,4 @@
-//! What `conicflow nodes` prints, out of the nodes' own descriptions.
+//! The output of `conicflow nodes`, made from the nodes' own descriptions.
 
 use crate::NODES;
 use anyhow::bail;
@@ -8,7 +8,7 @@ use conicflow_messages::{Hinted, Item, Nothing};
 use serde_json::Value as Json;
 use std::fmt::Write;
 
-/// All nodes in a line each, or one with its parameters.
+/// Returns all nodes, one per line, or one node with its parameters.
 ///
 /// # Errors
 /// There is no such node.
@@ -46,11 +46,11 @@ fn describe(node: &Node) -> Result<String, std::fmt::Error> {
     Ok(text)
 }
 
-/// The parameters of an object schema, those of tables within it after their names.
+/// Returns the parameters of an object schema; the names of nested ones begin with that of their table.
 fn parameters(schema: &Json, object: &Json, prefix: &str) -> String {
     let mut text = String::new();
     for (name, parameter) in object.get("properties").and_then(Json::as_object).into_iter().flatten() {
-        // What one of several tables is stands with the choice.
+        // In a choice of tables, the description stands with the choice.
         let descriptions = [parameter, object].map(|described| field(described, "description"));
         let description = descriptions.into_iter().find(|text| !text.is_empty()).unwrap_or("").replace('\n', " ");
         let (default, range) = (default_of(parameter), range_of(parameter));
@@ -66,7 +66,7 @@ fn parameters(schema: &Json, object: &Json, prefix: &str) -> String {
     text
 }
 
-/// What a parameter may be: itself, the type that it refers to, or the branches of a choice.
+/// Returns the schemas that a parameter can have: its own, the type that it refers to, or the branches of a choice.
 fn branches<'a>(schema: &'a Json, parameter: &'a Json) -> Vec<&'a Json> {
     let target = parameter.get("$ref").and_then(Json::as_str).and_then(|path| schema.pointer(path.strip_prefix('#')?));
     let parameter = target.unwrap_or(parameter);
@@ -97,7 +97,7 @@ fn range_of(parameter: &Json) -> String {
     }
 }
 
-/// The words that a parameter can be.
+/// Returns the words that a parameter can be.
 fn choices(schema: &Json, parameter: &Json) -> Vec<String> {
     let words = branches(schema, parameter).into_iter().flat_map(|branch| {
         let listed = branch.get("enum").and_then(Json::as_array).into_iter().flatten();

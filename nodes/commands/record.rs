@@ -1,4 +1,4 @@
-//! `conicflow record`: topics of a running pipeline into a recording, by an onlooker for whom no stage waits.
+//! `conicflow record`: records topics of a running pipeline, as an onlooker for which no stage waits.
 
 use super::invocation::say;
 use super::topic::PipelineName;
@@ -14,7 +14,7 @@ use conicflow_view::give_way;
 use std::collections::{BTreeMap, HashSet};
 use std::path::PathBuf;
 
-/// What is recorded, and where.
+/// The topics to record, and the file.
 #[derive(Args)]
 pub struct RecordArguments {
     /// Names of topics [default: all of the pipeline]
@@ -35,10 +35,10 @@ pub struct RecordArguments {
     of: PipelineName,
 }
 
-/// Records until the pipeline ends, or this program is told to.
+/// Records until the pipeline ends, or a signal ends this program.
 ///
 /// # Errors
-/// There is no such pipeline or topic, it cannot be read, or the file cannot be written.
+/// There is no such pipeline or topic, a topic cannot be read, or the file cannot be written.
 pub fn record(arguments: &RecordArguments) -> Result<()> {
     give_way();
     if !is_recording(&arguments.out) {
@@ -65,7 +65,7 @@ pub fn record(arguments: &RecordArguments) -> Result<()> {
     }
     let running = arguments.of.find()?;
     let recorded = match &arguments.topics[..] {
-        // What nothing is told of can only be recorded where it is asked for, and then that is said.
+        // Topics of unknown item type cannot be recorded: they are left out here, and an error if they are named.
         [] => running.topics().filter(|topic| topic.item.is_some()).collect(),
         named => {
             let mut names = HashSet::new();
@@ -89,18 +89,18 @@ pub fn record(arguments: &RecordArguments) -> Result<()> {
         }
         Ok(Watching::GoOn)
     });
-    // What came before an error is kept.
+    // Messages before an error are kept.
     let bytes = recorder.finish();
     watched.context("recording")?;
     say(tally.text(bytes?));
     Ok(())
 }
 
-/// What came, and what was lost because this program was too slow.
+/// Number of messages of each topic, and of those lost because this program was too slow.
 #[derive(Default)]
 struct Tally {
     topics: BTreeMap<String, (u64, u64)>,
-    /// The number of the last message of each writer of a topic.
+    /// Number of the last message of each writer of a topic.
     last: BTreeMap<(String, Text<32>), u64>,
 }
 

@@ -1,5 +1,5 @@
-//! Tests of the JSON schema of pipeline files, and of `docs/pipeline.schema.json`, which holds it for the editors of those that
-//! open the files here. `UPDATE_EXPECT=1` writes it anew.
+//! Tests of the JSON schema of pipeline files, and of `docs/pipeline.schema.json`, which holds it for editors that open the files
+//! of this repository. `UPDATE_EXPECT=1` writes it anew.
 
 use crate::NODES;
 use conicflow_dataflow::pipeline::file_schema;
@@ -62,7 +62,7 @@ fn every_pipeline_file_here_leads_editors_to_the_schema() {
     }
 }
 
-/// What is told of the default pipeline with another value at this place.
+/// Returns the validator's faults for the default pipeline with another value at this place.
 fn faults(pointer: &str, key: &str, value: Json) -> Vec<String> {
     let mut pipeline = read(include_str!("../../pipeline.toml"));
     pipeline.pointer_mut(pointer).unwrap()[key] = value;
@@ -89,7 +89,7 @@ fn faults_do_not_fit_the_schema() {
     }
 }
 
-/// Editors show the fault where it is, and name it.
+/// Editors show the fault at its place, with its name.
 #[test]
 fn faults_are_told_by_name() {
     let unexpected = |key: &str| format!("Additional properties are not allowed ('{key}' was unexpected)");
@@ -115,7 +115,7 @@ fn faults_are_told_by_name() {
     }
 }
 
-/// Where the file has a choice between a word and a table.
+/// The file has a choice between a word and a table here.
 #[test]
 fn faults_within_a_choice_are_told_by_name() {
     for (key, value) in [
@@ -157,7 +157,7 @@ fn faults_within_a_choice_are_told_by_name() {
     }
 }
 
-/// One fault is told of a stage whose key has this value, at its place.
+/// Expects one fault, at its place, for a stage whose key has this value.
 fn expect_fault(place: &str, value: Json, within: &str, told: &str) {
     let (stage, key) = place.split_once('/').unwrap();
     let told_all = match stage {

@@ -1,4 +1,4 @@
-//! `conicflow completions` and `conicflow man`: what a shell and `man` know of the commands, made from the commands themselves.
+//! `conicflow completions` and `conicflow man`: shell completions and manual pages, made from the commands themselves.
 
 use clap::Command;
 use clap_complete::{Shell, generate};
@@ -7,7 +7,7 @@ use std::io::{Write, stdout};
 
 const NAME: &str = "conicflow";
 
-/// Writes what a shell completes commands and their arguments by.
+/// Writes the script with which a shell completes commands and their arguments.
 ///
 /// # Errors
 /// Standard output cannot be written.
@@ -17,7 +17,7 @@ pub fn completions(shell: Shell, command: &mut Command) -> anyhow::Result<()> {
     Ok(stdout().write_all(&script)?)
 }
 
-/// Writes a manual page of the program and one of each command, one behind the other, as `man` shows them.
+/// Writes the manual page of the program and those of all commands, one after the other.
 ///
 /// # Errors
 /// Standard output cannot be written.

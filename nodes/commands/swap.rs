@@ -1,4 +1,4 @@
-//! `conicflow swap`: replaces one stage of a running pipeline, after the pipeline with the change in it was checked whole.
+//! `conicflow swap`: replaces one stage of a running pipeline, after checking the whole pipeline with the change.
 
 use super::topic::PipelineName;
 use crate::{NODES, REGISTRY};
@@ -8,7 +8,7 @@ use conicflow_dataflow::pipeline::suggestion;
 use conicflow_dataflow::{Plan, PlannedStage, Requirements};
 use conicflow_messages::Hinted;
 
-/// What is to be replaced, and by what.
+/// The stage to replace, and its replacement.
 #[derive(Args)]
 pub struct SwapArguments {
     /// Name of the stage
@@ -23,10 +23,10 @@ pub struct SwapArguments {
     of: PipelineName,
 }
 
-/// Replaces a stage, and returns when the new one works.
+/// Replaces a stage, and returns when the new one runs.
 ///
 /// # Errors
-/// What is wrong with the change, or why the launcher could not make it; the stage works on as it was then.
+/// The change is wrong, or the launcher could not make it; the stage continues as before then.
 pub fn swap(arguments: &SwapArguments) -> anyhow::Result<()> {
     let running = arguments.of.find()?;
     let (plan, name) = (&running.plan, &arguments.stage);

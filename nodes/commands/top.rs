@@ -1,4 +1,4 @@
-//! `conicflow top`: what running pipelines do, as a screen that is drawn anew each second, or once as JSON.
+//! `conicflow top`: shows the activity of running pipelines, as a screen that is redrawn every second, or once as JSON.
 
 use super::topic::PipelineName;
 use conicflow_dataflow::{PipelineActivity, StageActivity, Table, link_table, observe};
@@ -10,10 +10,10 @@ use std::thread::sleep;
 use std::time::Duration;
 
 const PERIOD: Duration = Duration::from_secs(1);
-/// A stage that has given no sign of life for this long is pointed out.
+/// Time without a sign of life after which a stage is pointed out.
 const SILENT_S: f64 = 2.0;
 
-/// Draws the screen until it is ended, of all pipelines or of one; without a terminal, or if `once`, prints JSON and ends.
+/// Redraws the screen until a signal ends it, of all pipelines or of one; without a terminal or if `once`, prints JSON once.
 ///
 /// # Errors
 /// The runs cannot be read, no pipeline of this name runs, or standard output cannot be written.
@@ -37,7 +37,7 @@ pub fn top(once: bool, of: &PipelineName) -> anyhow::Result<()> {
     }
 }
 
-/// As much of a text as a window of so many rows has room for; of a window of which nothing is known, all.
+/// Returns the part of a text that fits into a window of this many rows, or all of it if the window's size is unknown.
 fn fitting(text: &str, rows: usize) -> String {
     let lines: Vec<_> = text.lines().collect();
     if rows < 2 || lines.len() < rows {
@@ -47,7 +47,7 @@ fn fitting(text: &str, rows: usize) -> String {
     format!("{}\n({more} lines more: enlarge the window, or name one with --pipeline)", shown.join("\n"))
 }
 
-/// The tables of all pipelines, within 80 columns.
+/// Returns the tables of all pipelines, within 80 columns.
 fn screen(pipelines: &[PipelineActivity]) -> String {
     if pipelines.is_empty() {
         return "no pipeline runs; start one with `conicflow run`\n".to_owned();
@@ -62,7 +62,7 @@ fn screen(pipelines: &[PipelineActivity]) -> String {
     parts.collect()
 }
 
-/// A line on what the last stage that finds something finds in a frame now.
+/// Returns a line with the number of objects per frame that the last detecting or tracking stage now finds.
 fn found(pipeline: &PipelineActivity) -> String {
     let Some(stage) = pipeline.stages.iter().rev().find(|stage| !stage.found_per_message.is_empty()) else {
         return String::new();
@@ -72,8 +72,8 @@ fn found(pipeline: &PipelineActivity) -> String {
     format!("{}\n", clip(&line, 80))
 }
 
-/// A line for each stage that hangs, or seems to, that is paused, or that another one holds up, and for each input of which messages
-/// were left out.
+/// Returns a line for each stage that seems to hang, is paused or waits for another one, and for each input that got malformed
+/// messages.
 fn standing(pipeline: &PipelineActivity) -> String {
     let line = |stage: &StageActivity| match &stage.waits_for {
         _ if stage.silent_s > SILENT_S => Some(format!("no sign of life for {:.0} s", stage.silent_s)),
@@ -123,7 +123,7 @@ fn time(milliseconds: Option<f64>) -> String {
     milliseconds.map_or_else(|| "-".to_owned(), |time| format!("{time:.2}"))
 }
 
-/// A text of at most `width` characters; one that is cut ends in a dot.
+/// Cuts a text to `width` characters; a cut one ends in a dot.
 fn clip(text: &str, width: usize) -> String {
     if text.chars().count() <= width { text.to_owned() } else { text.chars().take(width - 1).chain(['.']).collect() }
 }

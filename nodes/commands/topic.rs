@@ -1,7 +1,7 @@
-//! `conicflow topic`: what goes through the topics of a running pipeline, seen without a change to it.
+//! `conicflow topic`: shows the traffic on the topics of a running pipeline, without changing it.
 //!
-//! `list`, `hz` and `bw` read the records that the stages keep, and attach to nothing; `echo` is a reader more, in a place
-//! that is kept free for it, for which no writer waits.
+//! `list`, `hz` and `bw` read the records that the stages keep, and do not attach to the topics. `echo` is a further subscriber,
+//! in a place that is reserved for it, and no publisher waits for it.
 
 use crate::NODES;
 use clap::{Args, Subcommand};
@@ -16,10 +16,10 @@ use std::time::Duration;
 
 const PERIOD: Duration = Duration::from_secs(1);
 
-/// What is to be seen of topics.
+/// The views of topics.
 #[derive(Subcommand)]
 pub enum TopicCommand {
-    /// List the topics with what they carry, who writes and who reads them, and their rates
+    /// List the topics with their item types, writers, readers and rates
     List {
         #[command(flatten)]
         of: PipelineName,
@@ -32,7 +32,7 @@ pub enum TopicCommand {
     Bw(TopicArguments),
 }
 
-/// Which topic, and how much of it.
+/// The topic, and how much of it to show.
 #[derive(Args)]
 pub struct TopicArguments {
     /// Name of the topic
@@ -44,7 +44,7 @@ pub struct TopicArguments {
     of: PipelineName,
 }
 
-/// Which pipeline, where several run.
+/// The pipeline, if several run.
 #[derive(Args)]
 pub struct PipelineName {
     /// Name of the pipeline, where several run
@@ -52,7 +52,7 @@ pub struct PipelineName {
     pipeline: Option<String>,
 }
 
-/// Shows what was asked for.
+/// Runs the subcommand.
 ///
 /// # Errors
 /// There is no such pipeline or topic, it cannot be read, or standard output cannot be written.
@@ -67,12 +67,12 @@ pub fn topic(command: &TopicCommand) -> anyhow::Result<()> {
 }
 
 impl PipelineName {
-    /// The pipeline of this name, or the only one that runs.
+    /// Returns the pipeline of this name, or the only one that runs.
     pub(crate) fn find(&self) -> Result<RunningPipeline, WatchError> {
         RunningPipeline::find(self.pipeline.as_deref(), "--pipeline NAME")
     }
 
-    /// The name, if one was given, of a pipeline that runs.
+    /// Returns the given name, if any, after checking that such a pipeline runs.
     pub(crate) fn named(&self) -> Result<Option<String>, WatchError> {
         self.pipeline.as_ref().map(|_| Ok(self.find()?.plan.pipeline)).transpose()
     }
@@ -95,7 +95,7 @@ fn list(running: &RunningPipeline) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Who writes a topic, how often, and how much.
+/// Returns writer, rate and bandwidth of a topic.
 fn row(activity: &TopicActivity) -> [String; 3] {
     let [rate, bandwidth] = [activity.rate_hz, activity.bandwidth_mbps].map(|figure| format!("{figure:.2}"));
     [activity.writer.clone(), rate, bandwidth]
@@ -109,7 +109,7 @@ fn readers(topic: &Topic) -> String {
     readers.collect::<Vec<_>>().join(", ")
 }
 
-/// What the writers of one topic, or of all, do in the second to come.
+/// Observes the writers of one topic, or of all, for a second.
 fn activities(running: &RunningPipeline, only: Option<&str>) -> anyhow::Result<Vec<TopicActivity>> {
     let before = observe()?;
     sleep(PERIOD);
@@ -119,7 +119,7 @@ fn activities(running: &RunningPipeline, only: Option<&str>) -> anyhow::Result<V
     Ok(written.filter(|activity| only.is_none_or(|name| activity.topic == name)).collect())
 }
 
-/// Prints a line per second and writer, until there were enough seconds or the pipeline has ended.
+/// Prints a line per second and writer, until the count is reached or the pipeline has ended.
 fn each_second(arguments: &TopicArguments, line: fn(&TopicActivity) -> String) -> anyhow::Result<()> {
     let running = arguments.of.find()?;
     let topic = running.expect_topic(&arguments.topic)?;

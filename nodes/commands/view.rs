@@ -1,4 +1,4 @@
-//! `conicflow view`: a page for the browser that shows what runs, or a recording.
+//! `conicflow view`: a page for the browser that shows running pipelines, or a recording.
 
 use crate::viewing::live::Live;
 use crate::viewing::player::Player;
@@ -11,17 +11,17 @@ use std::io::{Write, stdout};
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// What is shown, and where.
+/// The recording or pipeline to show, and the address of the page.
 #[derive(Args)]
 pub struct ViewArguments {
-    /// A recording: an MCAP file, or a folder of them [default: what runs]
+    /// A recording: an MCAP file, or a folder of them [default: running pipelines]
     file: Option<PathBuf>,
     /// A second recording of the same frames, such as `compare --record` writes: what both have found, and what only one has
     against: Option<PathBuf>,
-    /// Where the page is offered; one that other machines reach asks for a token [default: 127.0.0.1:8760, else another port]
+    /// Address of the page; one that other machines reach asks for a token [default: 127.0.0.1:8760, else another port]
     #[arg(long, value_name = "ADDRESS[:PORT]")]
     listen: Option<String>,
-    /// What has to be known to see the page [default: at an address that other machines reach one that is made and printed]
+    /// Token that is needed to see the page [default: one is made and printed where other machines may reach the page]
     #[arg(long, value_name = "TEXT")]
     token: Option<String>,
     /// Name of the pipeline, where several run; another one can be chosen on the page
@@ -32,10 +32,10 @@ pub struct ViewArguments {
     topic: Option<String>,
 }
 
-/// Offers the page until this program is told to end.
+/// Serves the page until a signal ends this program.
 ///
 /// # Errors
-/// The address cannot be listened at, or there is no such recording.
+/// The address cannot be used, or there is no such recording.
 pub fn view(arguments: &ViewArguments) -> Result<()> {
     give_way();
     let terminated = termination_flag()?;
@@ -58,7 +58,7 @@ pub fn view(arguments: &ViewArguments) -> Result<()> {
     live.show(&terminated)
 }
 
-/// Offers the page, and prints where.
+/// Serves the page, and prints its address.
 fn offer(listen: &Listen, display: Arc<Display>) -> Result<Server> {
     let server = Server::start(listen, Page::new(display))?;
     writeln!(stdout(), "{}", server.url())?;

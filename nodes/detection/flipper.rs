@@ -1,5 +1,5 @@
-//! Depth images -> depth images, objects -> objects: turned or mirrored by [`Flip`], as stages. Before the extractor one shows
-//! whether the detection has a favourite direction; behind the assembler another one turns back what was found.
+//! Depth images -> depth images, objects -> objects: rotated or mirrored by [`Flip`], as stages. One before the extractor shows
+//! whether the detection prefers a direction; another one after the assembler turns its objects back.
 
 use conicflow_dataflow::{Context, Output, SideInputs, Stage, StageError};
 use conicflow_lab::flip::Flip;
@@ -12,21 +12,21 @@ use std::marker::PhantomData;
 #[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct FlipperConfig {
-    /// How the image is turned or mirrored, and the camera with it. A mirrored frame loses its pose.
+    /// Rotation or mirroring of the image, and of the camera with it. A mirrored frame loses its pose.
     pub flip: Flip,
 }
 
-/// What can be flipped.
+/// Items that can be flipped.
 pub trait Flipped: Item {
-    /// Name of the node that does so.
+    /// Name of the node.
     const NODE: &'static str;
-    /// What that does.
+    /// Summary of the node.
     const SUMMARY: &'static str;
 
-    /// Writes the items that the flipped camera sees in place of those that `camera` sees.
+    /// Writes the items as the flipped camera sees them, from those that `camera` sees.
     ///
     /// # Errors
-    /// There is no memory for them.
+    /// There is no memory for the items.
     fn flip(flip: Flip, camera: &Camera, items: &[Self], output: &mut Output<Self>) -> Result<(), StageError>;
 }
 

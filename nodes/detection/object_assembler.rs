@@ -9,12 +9,12 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// Budget for one image where the stage works live and none was said, in milliseconds. Of the 33 between two of 30 images a second
-/// it leaves three for passing on what was found and for the candidate that is being tried when it is over: with `budget_ms = 5`
-/// recordings of 640x480 and 960x540 pixels took up to 6.7 ms (p99 of the summary, of a build for tests).
+/// Default time budget for one image of a live stage, in milliseconds. Of the 33 ms between images at 30 Hz it leaves three for
+/// sending the objects, and for the candidate that is being tried when the budget ends: with `budget_ms = 5`, recordings of
+/// 640x480 and 960x540 pixels took up to 6.7 ms (p99 of the summary, in a build for tests).
 const LIVE_BUDGET_MS: f64 = 30.0; // [measured]
 
-/// How objects are found in a list of ellipses.
+/// The method that finds objects in a list of ellipses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Method {
@@ -29,10 +29,10 @@ pub enum Method {
 #[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(default)]
 pub struct ObjectAssemblerConfig {
-    /// How objects are found: by `pooled` moments of arcs (`arcs = "moments"` of the extractor), or by the paper's `profile`
+    /// Method that finds objects: by `pooled` moments of arcs (`arcs = "moments"` of the extractor), or by the paper's `profile`
     /// of ellipses (`arcs = "conic"`). The table `pooled` holds for the former, the table `profile` for the latter.
     pub method: Method,
-    /// What both methods have.
+    /// Parameters of both methods.
     #[serde(flatten)]
     pub common: AssemblerParameters,
     /// Parameters of `method = "profile"`.
@@ -42,7 +42,7 @@ pub struct ObjectAssemblerConfig {
 /// The stage.
 pub struct ObjectAssembler {
     assembler: AnyAssembler,
-    /// Whether it was said that the ellipses are not those that the method is made for.
+    /// Whether the warning about mismatching ellipses was already logged.
     warned: bool,
 }
 
@@ -102,13 +102,13 @@ impl Stage for ObjectAssembler {
     }
 }
 
-/// The budget that a stage has of its own accord: only where it works live, and none was said.
+/// Returns the configured time budget, or the default one of a live stage.
 fn budget_ms(said: Option<f64>, delivery: Option<Delivery>) -> Option<f64> {
     said.or((delivery == Some(Delivery::Latest)).then_some(LIVE_BUDGET_MS))
 }
 
 impl ObjectAssembler {
-    /// Says once that the ellipses are of the other kind than the method is made for.
+    /// Warns once if the ellipses are not those that the method expects.
     fn warn_of_mismatch(&mut self, ellipses: &[Ellipse]) {
         let is_pooled = matches!(self.assembler, AnyAssembler::Pooled(_));
         if self.warned || ellipses.iter().all(|ellipse| (ellipse.unbiased == 1) == is_pooled) {
@@ -146,7 +146,7 @@ mod tests {
             pooled: PooledParameters { min_half_angle_deg: 30.0, ..PooledParameters::default() },
             ..AssemblerParameters::default()
         };
-        // Of two methods the least half-angle of that counts which is used.
+        // The smallest half-angle of the chosen method counts, not that of the other.
         for (method, profile_deg, keys) in [
             (Method::Pooled, 5.0, &["sphere", "cone", "pooled"][..]),
             (Method::Profile, 5.0, &["sphere", "cone"]),

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use std::ops::RangeInclusive;
 use std::path::Path;
 
-/// How a scan line is cut into arcs.
+/// The method that cuts a scan line into arcs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ArcFinder {
@@ -24,23 +24,23 @@ pub enum ArcFinder {
 #[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(default)]
 pub struct RowEllipseConfig {
-    /// How a scan line is cut into arcs: `moments`, for `method = "pooled"` of the assembler, or `conic`, the paper's way. With
-    /// `conic` the limits of the radius are those of the semi-axes of ellipses, and no point is put back.
+    /// Method that cuts a scan line into arcs: `moments`, for `method = "pooled"` of the assembler, or `conic`, the paper's way.
+    /// With `conic` the limits of the radius are those of the semi-axes of ellipses, and no point is put back.
     pub arcs: ArcFinder,
-    /// What both ways have.
+    /// Parameters of both methods.
     #[serde(flatten)]
     pub common: ExtractorParameters,
     /// Parameters of `arcs = "conic"`.
     pub conic: ConicParameters,
 }
 
-/// Standard deviations of an image, in those of its noise model, that need not be spoken of.
+/// Ratios of an image's standard deviation to that of its noise model for which there is no warning.
 const USUAL_RATIOS: RangeInclusive<f64> = 0.32..=1.41;
 
 /// The stage.
 pub struct RowEllipseExtractor {
     extractor: AnyExtractor,
-    /// Whether it was said that the noise model is not that of the sensor.
+    /// Whether the warning about the noise model was already logged.
     warned: bool,
 }
 
@@ -87,7 +87,7 @@ impl Stage for RowEllipseExtractor {
 }
 
 impl RowEllipseExtractor {
-    /// Says once that the noise model is not that of the sensor.
+    /// Warns once if the noise model does not match the images.
     fn warn_of_noise(&mut self, [near, far]: [f64; 2]) {
         if self.warned || (USUAL_RATIOS.contains(&near) && USUAL_RATIOS.contains(&far)) {
             return;

@@ -1,8 +1,8 @@
-//! The messages of MCAP files, in the order in which they were written: of one file, or of a folder of them as `rosbag2` makes
-//! it.
+//! Reads the messages of MCAP files in the order in which they were written: of one file, or of a folder of files as `rosbag2`
+//! makes it.
 //!
-//! A file that ends in the middle, because who wrote it was killed, is read up to its last whole message, and that is said. So is
-//! what is left out because it is damaged.
+//! A file that ends in the middle, because its writer was killed, is read up to its last whole message, and that is logged. So
+//! are damaged parts that are skipped.
 
 use super::indexed::Indexed;
 use super::sequential::{Reader, Sequential};
@@ -18,24 +18,24 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
-/// No compression makes more of a byte than lz4's 255.
+/// Largest expansion by a compression: lz4 makes 255 bytes of one.
 const MAX_EXPANSION: u64 = 256;
-/// How a file that is compressed as a whole ends.
+/// Endings of files that are compressed as a whole.
 const COMPRESSED: [&str; 2] = ["zstd", "lz4"];
 
 /// The files of a recording.
 #[derive(Clone, Debug)]
 pub struct Files {
-    /// Where they are, and how long each was when they were found.
+    /// The paths, and the length of each file when it was found, in bytes.
     files: Vec<(PathBuf, u64)>,
-    /// To ask it is a sign of life. What is looked for may be gigabytes away.
+    /// Asked while reading, to show that the stage is alive: the next message may be gigabytes away.
     stop: Stop,
 }
 
 /// A channel of a recording.
 #[derive(Clone, Debug)]
 pub struct SurveyedChannel {
-    /// What it tells of itself.
+    /// Its description in the file.
     pub channel: Arc<Channel<'static>>,
     /// Its first message.
     pub first: Vec<u8>,
@@ -49,10 +49,10 @@ impl SurveyedChannel {
 }
 
 impl Files {
-    /// The files at `path`: one, or those of a folder in natural order.
+    /// Finds the files at `path`: a single one, or those of a folder in natural order.
     ///
     /// # Errors
-    /// There are none, or they are of another format.
+    /// There are no files, or they are of another format.
     pub fn find(path: &Path) -> Result<Self> {
         if !path.is_dir() {
             refuse_special(path)?;
@@ -74,25 +74,25 @@ impl Files {
         Ok(Self { files: recordings.into_iter().map(with_length).collect(), stop: Stop::default() })
     }
 
-    /// The same for a stage, which shows that it lives while it reads.
+    /// Returns the files for a stage, which shows that it is alive while it reads.
     #[must_use]
     pub fn of_stage(self, stop: &Stop) -> Self {
         Self { stop: stop.clone(), ..self }
     }
 
-    /// Where they are.
+    /// Returns the paths of the files.
     pub fn paths(&self) -> impl Iterator<Item = &PathBuf> {
         self.files.iter().map(|(path, _)| path)
     }
 
-    /// Each channel that has messages, with the first of them, by topic.
+    /// Returns each channel that has messages, with its first message, by topic.
     ///
     /// # Errors
-    /// A file cannot be read, or holds no MCAP.
+    /// A file cannot be read, or is no MCAP file.
     pub fn survey(&self) -> Result<Vec<SurveyedChannel>> {
         let mut seen = BTreeMap::<String, SurveyedChannel>::new();
         for path in self.paths() {
-            // Where the file says what it has, it need not be read to its end.
+            // A file whose summary names its topics need not be read to its end.
             let topics = summary(path).ok().flatten().and_then(|summary| topics_with_messages(&summary));
             for (count, message) in (0..).zip(OpenFile::open(path)?.reader) {
                 self.stop.requested();
@@ -104,7 +104,7 @@ impl Files {
                         let topic = channel.topic.clone();
                         seen.entry(topic).or_insert_with(|| SurveyedChannel { channel, first: data.into_owned() });
                     }
-                    // It is said when the file is played.
+                    // The damage is logged when the file is played.
                     Err(error) => {
                         damage(&error, &path.display(), count, self.files.len() == 1)?;
                         break;
@@ -115,13 +115,13 @@ impl Files {
         Ok(seen.into_values().collect())
     }
 
-    /// The same, where each file tells what it has, so that not much of it need be read.
+    /// Returns the channels if every file has a summary, so that little of it has to be read.
     pub fn survey_of_complete(&self) -> Option<Vec<SurveyedChannel>> {
         let is_complete = |path: &PathBuf| summary(path).is_ok_and(|summary| summary.is_some());
         if self.paths().all(is_complete) { self.survey().ok() } else { None }
     }
 
-    /// The messages of some topics.
+    /// Returns the messages of some topics.
     pub fn messages(&self, topics: &[&str]) -> Messages {
         let topics = topics.iter().map(|&topic| topic.to_owned()).collect();
         let is_only = self.files.len() == 1;
@@ -130,15 +130,15 @@ impl Files {
         Messages { left, open: None, topics, from_ns: None, until_ns: None, is_only, is_told: false, damaged: 0, stop }
     }
 
-    /// The same, with not a word on files that end in the middle.
+    /// Returns the same messages, without log lines about damaged files.
     pub fn messages_again(&self, topics: &[&str]) -> Messages {
         Messages { is_told: true, ..self.messages(topics) }
     }
 
-    /// When the first and the last message were written; none where there are no messages.
+    /// Returns the log times of the first and the last message; `None` if there are no messages.
     ///
     /// # Errors
-    /// A file cannot be read, or holds no MCAP.
+    /// A file cannot be read, or is no MCAP file.
     pub fn span_ns(&self) -> Result<Option<(u64, u64)>> {
         let mut span: Option<(u64, u64)> = None;
         let mut reach = |begin: u64, end: u64| {
@@ -165,9 +165,9 @@ impl Files {
     }
 }
 
-/// A file and its length.
+/// Returns a file with its length in bytes.
 pub(super) fn with_length(path: PathBuf) -> (PathBuf, u64) {
-    // What cannot be opened is told when it is.
+    // A file that cannot be opened is reported when it is read.
     let length = path.metadata().map_or(0, |about| about.len());
     (path, length)
 }
@@ -177,13 +177,13 @@ pub fn is_recording(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
 }
 
-/// Whether this is a recording of robots, in a format that is read, or in one of which is told how it is converted.
+/// Whether this is a recording of a robot, in MCAP or in a format for which the error names a converter.
 pub fn looks_like_recording(path: &Path) -> bool {
     let is_one = |path: &Path| is_recording(path) || refuse_other_formats(path).is_err();
     is_one(path) || fs::read_dir(path).is_ok_and(|entries| entries.flatten().any(|entry| is_one(&entry.path())))
 }
 
-/// Refuses a device or a pipe, whose end may never come.
+/// Refuses a device or a pipe, which may have no end.
 fn refuse_special(path: &Path) -> Result<()> {
     if is_special(path) {
         bail!(Hinted::new(format!("`{}` is no file", path.display()), "a recording is a file, or a folder of files"));
@@ -191,7 +191,7 @@ fn refuse_special(path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// The command that makes an MCAP file of what is none.
+/// Refuses files of other formats, with the command that converts them to MCAP as the hint.
 fn refuse_other_formats(path: &Path) -> Result<()> {
     let shown = path.display();
     let (stem, folder) = (path.with_extension(""), path.parent().filter(|folder| *folder != Path::new("")));
@@ -203,7 +203,7 @@ fn refuse_other_formats(path: &Path) -> Result<()> {
         }
         _ => return Ok(()),
     };
-    // `.` has no name to put an ending behind.
+    // `.` has no name to add an ending to.
     let named = if from.file_name().is_some() { from.to_owned() } else { fs::canonicalize(from)? };
     let to = if kind.contains("rosbag2") { named.with_extension("mcap") } else { stem };
     bail!(Hinted::new(
@@ -216,7 +216,7 @@ fn refuse_other_formats(path: &Path) -> Result<()> {
     ))
 }
 
-/// A file that is being read: from its beginning to its end, or from some time on by its index.
+/// A file that is being read: from beginning to end, or from some time on by its index.
 struct OpenFile {
     path: PathBuf,
     reader: Box<dyn Reader>,
@@ -229,7 +229,7 @@ impl OpenFile {
         Ok(Self { path: path.to_owned(), reader: Box::new(reader) })
     }
 
-    /// The messages of some topics from `from_ns` on; where nothing tells where they are, all there are.
+    /// Opens a file for the messages of some topics from `from_ns` on; without an index, for all messages.
     fn open_from(path: &Path, topics: &[String], from_ns: u64) -> Result<Self> {
         let is_indexed =
             |summary: &Summary| !summary.chunk_indexes.is_empty() && topics_with_messages(summary).is_some();
@@ -241,7 +241,7 @@ impl OpenFile {
     }
 }
 
-/// A record that is longer is none.
+/// Returns the length limit for records, in bytes: no record of this file can be longer.
 fn longest_record(file: &File) -> std::io::Result<usize> {
     let limit = (file.metadata()?.len().saturating_mul(MAX_EXPANSION)).min(MAX_RECORD_BYTES);
     Ok(usize::try_from(limit).unwrap_or(usize::MAX))
@@ -250,31 +250,31 @@ fn longest_record(file: &File) -> std::io::Result<usize> {
 /// Messages of some topics, file after file.
 pub struct Messages {
     left: std::vec::IntoIter<(PathBuf, u64)>,
-    /// The one that is read, how long it was when it was found, and how many messages came of it.
+    /// The current file, its length when it was found, and the number of its messages so far.
     open: Option<(OpenFile, u64, u64)>,
     topics: Vec<String>,
-    /// Messages that were written earlier are left out.
+    /// Messages that were written earlier are left out ...
     from_ns: Option<u64>,
-    /// So are those that were written at this time or later.
+    /// ... and so are those written at this time or later.
     until_ns: Option<u64>,
-    /// Whether there is but one file.
+    /// Whether there is only one file.
     is_only: bool,
-    /// Whether it was said what is wrong with the files.
+    /// Whether damage was already logged.
     is_told: bool,
-    /// Places that were left out in the files before this one.
+    /// Number of damaged places in the files before this one.
     damaged: u64,
     stop: Stop,
 }
 
 impl Messages {
-    /// Those of them that were written at `from_ns` or later, and before `until_ns`: of a file whose end tells where its messages are
-    /// no more is read than is needed, and they come in the order of their times.
+    /// Restricts the messages to those written at `from_ns` or later, and before `until_ns`. Of a file with an index only the
+    /// necessary parts are read, in the order of time.
     #[must_use]
     pub fn between(self, from_ns: u64, until_ns: Option<u64>) -> Self {
         Self { from_ns: Some(from_ns), until_ns, ..self }
     }
 
-    /// How many places were left out so far, because they are damaged.
+    /// Number of damaged places skipped so far.
     pub fn damaged(&self) -> u64 {
         self.damaged + self.open.as_ref().map_or(0, |(file, ..)| file.reader.left_out().count)
     }
@@ -316,7 +316,7 @@ impl Messages {
                     return Err(gone(&format!("`{path}` has become shorter, and ends after {count} messages")));
                 }
                 Some(Err(error)) => {
-                    // Nobody can tell what came before `from_ns`.
+                    // The messages before `from_ns` were not read, so that the file may have some.
                     let is_only = self.is_only && self.from_ns.is_none();
                     let damage = damage(&error, &file.path.display(), *count, is_only)?;
                     if !self.is_told {
@@ -328,7 +328,7 @@ impl Messages {
         }
     }
 
-    /// Goes on with the next file.
+    /// Closes the file, so that the next one is opened.
     fn close(&mut self) {
         self.damaged = self.damaged();
         self.open = None;
@@ -343,20 +343,20 @@ impl Iterator for Messages {
     }
 }
 
-/// An error of a file that was there, whole, when the recording was opened: to read it anew would not help.
+/// Returns the error for a file that was complete when the recording was opened; reading it again would not help.
 fn gone(what: &impl Display) -> Error {
     Hinted::lasting(format!("{what:#}"), "leave a recording as it is while it is played, and its disk in its place")
         .into()
 }
 
-/// Whether nothing was said yet of what is left out of a file: it is read anew for each jump, and by several readers.
+/// Whether damage in a file was not logged yet: a file is read anew for each jump, and by several readers.
 fn is_first_of(path: &Path) -> bool {
     static TOLD: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
     lock(&TOLD).insert(path.to_owned())
 }
 
-/// What is said of a file that ends or is broken in the middle; it is an error where it is no MCAP, or the only one and nothing
-/// of it can be read.
+/// Returns the log line about a file that ends or is damaged in the middle. It is an error if the file is no MCAP file, or if it
+/// is the only one and nothing of it can be read.
 fn damage(error: &McapError, path: &impl Display, count: u64, is_only: bool) -> Result<String> {
     let what = match error {
         McapError::BadMagic if count == 0 => {

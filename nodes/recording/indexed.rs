@@ -1,6 +1,6 @@
-//! Reads a file of a recording from some time on, by what its end tells of where its messages are: in the order of their times.
+//! Reads a file of a recording from some time on, by the index at its end, in the order of time.
 //!
-//! The check sum of a chunk stands in the chunk's own head, which `mcap` passes over here: it is looked at before the chunk is
+//! `mcap` does not check the checksum of a chunk here, since it stands in the chunk's header. It is checked before the chunk is
 //! used.
 
 use super::sequential::{LeftOut, Reader, of_content};
@@ -23,17 +23,17 @@ pub(super) struct Indexed {
     wanted: Wanted,
     reader: IndexedReader,
     chunk: Vec<u8>,
-    /// When the last message was written, and how many there were of that time.
+    /// Log time of the last message, and the number of messages with that time.
     last: (u64, usize),
-    /// So many messages of that time are read once more.
+    /// Number of messages with that time to skip after the reader was replaced.
     again: usize,
     left_out: LeftOut,
 }
 
-/// What is read of a file.
+/// The part of a file that is read.
 struct Wanted {
     topics: Vec<String>,
-    /// Longest record.
+    /// Longest record, in bytes.
     limit: usize,
 }
 
@@ -50,7 +50,7 @@ impl Wanted {
 }
 
 impl Indexed {
-    /// The messages of some topics from `from_ns` on, by the time when they were written.
+    /// Opens the file for the messages of some topics from `from_ns` on, by log time.
     pub(super) fn open(
         path: &Path,
         summary: Summary,
@@ -99,7 +99,7 @@ impl Indexed {
         }
     }
 
-    /// Reads a chunk whose content is at `offset`; the outer error is that of the file, the inner one that of what it holds.
+    /// Reads the chunk whose content is at `offset`. The outer error is one of the file, the inner one is one of its content.
     fn read_chunk(&mut self, offset: u64, length: usize) -> McapResult<McapResult<()>> {
         let mut chunks = self.summary.chunk_indexes.iter();
         let chunk = chunks.find(|chunk| chunk.compressed_data_offset().ok() == Some(offset));
@@ -115,7 +115,7 @@ impl Indexed {
         Ok(checked.and_then(|()| self.reader.insert_chunk_record_data(offset, content)).map_err(of_content))
     }
 
-    /// Goes on without a chunk.
+    /// Continues without a damaged chunk.
     fn leave_out(&mut self, offset: u64, damage: McapError) -> McapResult<()> {
         self.summary.chunk_indexes.retain(|chunk| chunk.compressed_data_offset().ok() != Some(offset));
         self.reader = self.wanted.reader(&self.summary, self.last.0)?;
@@ -125,7 +125,7 @@ impl Indexed {
     }
 }
 
-/// Makes sure that a chunk is what was written, where it tells a check sum and is not too long for that.
+/// Checks the checksum of a chunk, if it has one and is not too long.
 fn check_sum(chunk: &[u8], limit: usize) -> McapResult<()> {
     let options = LinearReaderOptions::default()
         .with_skip_start_magic(true)
@@ -141,7 +141,7 @@ fn check_sum(chunk: &[u8], limit: usize) -> McapResult<()> {
                 let read = left.read(reader.insert(bytes))?;
                 reader.notify_read(read);
             }
-            // No record of a chunk comes before all of it was checked.
+            // Records of a chunk come only after all of it was checked.
             Some(Ok(LinearReadEvent::Record { .. }) | Err(McapError::ChunkTooLarge(_))) | None => return Ok(()),
             Some(Err(error)) => return Err(error),
         }

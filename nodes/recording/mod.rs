@@ -1,5 +1,5 @@
-//! Recordings: MCAP files with ROS 2 messages, which other programs read and write as well, and beside these our own messages
-//! byte by byte, so that a run that was recorded can be replayed to the bit.
+//! Recordings: MCAP files with ROS 2 messages, which other programs can read and write, and beside these the messages of
+//! conicflow byte by byte, so that a recorded run can be replayed exactly.
 
 pub mod files;
 mod indexed;

@@ -1,22 +1,22 @@
-//! Our own messages in a recording: the header and the items as they lie in memory, in channels of their own. Of a depth image
-//! only the header, beside a `sensor_msgs/Image` with its pixels.
+//! Messages of conicflow in a recording: the header and the items as they lie in memory, in channels of their own. For a depth
+//! image there is only the header, beside a `sensor_msgs/Image` with its pixels.
 
 use anyhow::{Context as _, Result, ensure};
 use conicflow_dataflow::ItemType;
 use conicflow_messages::{HEADER_TYPE_NAME, Header, Hinted};
 use serde::{Deserialize, Serialize};
 
-/// What the encoding of such messages is called.
+/// Name of the encoding of such messages.
 pub const ENCODING: &str = "conicflow";
-/// The key of a channel's metadata under which its schema stands. As a schema of MCAP it would be in the way of readers that know
-/// only those of ROS 2, such as `rosbags`.
+/// Key of a channel's metadata that holds its schema. A schema of MCAP would disturb readers that know only those of ROS 2, such
+/// as `rosbags`.
 pub const SCHEMA: &str = "conicflow";
-/// The last part of such a channel's topic.
+/// Last part of such a channel's topic.
 pub const MESSAGE: &str = "message";
-/// Of the channel with the pixels of depth images.
+/// Last part of the topic with the pixels of depth images.
 pub const IMAGE: &str = "image_rect_raw";
 
-/// The schema of such a channel: what the bytes are.
+/// The schema of such a channel: the types and sizes of its bytes.
 #[derive(Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Schema {
     header: String,
@@ -32,7 +32,7 @@ pub struct Schema {
 }
 
 impl Schema {
-    /// The schema of messages with such items, as this program writes them.
+    /// Returns the schema of messages with such items, as this program writes them.
     pub fn of(item: &ItemType) -> Self {
         Self {
             header: HEADER_TYPE_NAME.to_owned(),
@@ -46,7 +46,7 @@ impl Schema {
     }
 }
 
-/// A message: the header, and the items where there are any.
+/// Encodes a message: the header, and the items if there are any. Uses `memory` as buffer.
 pub fn write(header: &Header, items: &[u8], mut memory: Vec<u8>) -> Vec<u8> {
     memory.clear();
     memory.extend(bytemuck::bytes_of(header));
@@ -54,10 +54,10 @@ pub fn write(header: &Header, items: &[u8], mut memory: Vec<u8>) -> Vec<u8> {
     memory
 }
 
-/// The header and the items of a message; nothing of it is checked yet.
+/// Splits a message into header and items; neither is checked.
 ///
 /// # Errors
-/// It is too short.
+/// The message is shorter than a header.
 pub fn read(message: &[u8]) -> Result<(Header, &[u8])> {
     let whole = message.len() >= size_of::<Header>();
     ensure!(whole, "{} bytes, a header has {}", message.len(), size_of::<Header>());
@@ -65,10 +65,10 @@ pub fn read(message: &[u8]) -> Result<(Header, &[u8])> {
     Ok((bytemuck::pod_read_unaligned(header), items))
 }
 
-/// Makes sure that this program can read the messages of a channel with this schema as those of `item`.
+/// Checks that this program can read the messages of a channel with this schema as those of `item`.
 ///
 /// # Errors
-/// They were written by another version, or are of another type.
+/// Another version wrote the messages, or they are of another type.
 pub fn check_schema(schema: &str, item: &ItemType) -> Result<()> {
     let recorded: Schema = serde_json::from_str(schema).context("the schema of our own messages is damaged")?;
     let expected = Schema::of(item);
@@ -90,12 +90,12 @@ pub fn check_schema(schema: &str, item: &ItemType) -> Result<()> {
     Ok(())
 }
 
-/// The name of a channel: what `topic` of the pipeline carries of the frames that the stage `origin` had first.
+/// Returns the name of a channel for the messages of `topic` about frames of the source stage `origin`.
 pub fn channel(origin: &str, topic: &str, part: &str) -> String {
     format!("/{origin}/{topic}/{part}")
 }
 
-/// The channel with the headers that go with images of this topic.
+/// Returns the channel with the headers for the images of this topic.
 pub fn header_channel(image_topic: &str) -> Option<String> {
     Some(format!("{}{MESSAGE}", image_topic.strip_suffix(IMAGE)?))
 }

@@ -1,6 +1,6 @@
-//! Writes a recording: each message so that other programs show it, and as it is, byte by byte.
+//! Writes a recording: each message both in forms that other programs show, and as it is, byte by byte.
 //!
-//! Of what `topic` carries of the frames that the stage `origin` had first, `/origin/topic/...` has
+//! For the messages of `topic` about frames of the source stage `origin`, the channels `/origin/topic/...` hold
 //!
 //! | channel | content |
 //! |---|---|
@@ -10,9 +10,9 @@
 //! | `points` | points on their surfaces, for viewers without markers, such as Rerun |
 //! | `list` | short lists with all numbers by name, those of the lines of `json_sink` |
 //!
-//! and `/tf` has the pose of the camera. All messages of a frame have its stamp. What was written is in the file after a second
-//! at most, or when the recorder is asked to flush, in chunks that are whole: who reads the file of a recorder that was killed finds
-//! all until then. An earlier recording is there until the first message comes. Each file tells the run that it is of.
+//! and `/tf` has the pose of the camera. All messages of a frame have its stamp. A message is in the file within a second, or
+//! when the recorder is flushed, in whole chunks: a reader of the file of a killed recorder finds everything until then. An
+//! earlier recording stays until the first message comes. Each file names the run that wrote it.
 
 use super::files::with_length;
 use super::own::{self, ENCODING, IMAGE, MESSAGE, SCHEMA};
@@ -40,30 +40,30 @@ use std::sync::{Arc, Mutex, Weak};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// What was written is in the file after this time.
+/// Longest time that a message waits in memory before it is in the file.
 const FLUSH: Duration = Duration::from_millis(900);
-/// How often is looked for something that is to be in the file.
+/// Period of the checks whether something waits to be flushed.
 const FLUSH_CHECK_PERIOD: Duration = Duration::from_millis(100);
-/// The frame of coordinates in which poses are.
+/// The coordinate frame of the poses.
 const WORLD: &str = "world";
-/// Of frames that no stage has put its name to.
+/// Name for frames that no stage has put its name to.
 const NAMELESS: &str = "camera";
-/// The encoding of a schema that is but a name.
+/// Encoding of a schema that consists of a name only.
 const NAME_ALONE: &str = "";
-/// The name of the metadata of a file, and the key under which its run stands there.
+/// The name of the metadata record of a file, and its key for the run.
 const ABOUT: &str = "conicflow";
 const RUN: &str = "run";
-/// The unit of whole numbers in images of ROS.
+/// The unit of 16-bit depth images in ROS, in metres.
 const MILLIMETRE: f64 = 0.001;
 
-/// How long and how large files become.
+/// Limits on the length and size of the files.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Limits {
-    /// A file ends after so many bytes, and another begins.
+    /// Number of bytes after which another file begins.
     pub split_bytes: Option<u64>,
-    /// A file ends after so much time of the frames' stamps, and another begins.
+    /// Time span of the frames' stamps after which another file begins.
     pub split_ns: Option<u64>,
-    /// All files together: the oldest is removed, or where there is but one the recording ends.
+    /// Limit for all files together: the oldest is removed, or where there is but one, the recording ends.
     pub total_bytes: Option<u64>,
 }
 
@@ -74,10 +74,10 @@ impl Limits {
     }
 }
 
-/// What became of a message.
+/// The outcome of writing a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Recorded {
-    /// It was written.
+    /// The message was written.
     Written,
     /// The recording has reached its limit.
     Full,
@@ -93,24 +93,24 @@ struct Files {
     path: PathBuf,
     limits: Limits,
     run: u64,
-    /// The first one, until something comes.
+    /// The first file, until the first message comes.
     first: Option<FirstFile>,
     open: Option<OpenFile>,
     /// Number of the next file, from 0.
     next: u64,
-    /// Files that are complete, and their sizes.
+    /// Complete files and their sizes in bytes.
     complete: VecDeque<(PathBuf, u64)>,
     is_full: bool,
-    /// What went wrong when nobody was there to be told.
+    /// An error of flushing in the background, which the next call returns.
     failure: Option<Error>,
     memory: Vec<u8>,
 }
 
-/// A file that can be written, and was not yet.
+/// The first file, opened for writing, with nothing written yet.
 struct FirstFile {
     path: PathBuf,
     file: LateFile,
-    /// The files of an earlier recording, whose place it takes.
+    /// The files of an earlier recording, which it replaces.
     earlier: Vec<PathBuf>,
 }
 
@@ -120,23 +120,23 @@ struct OpenFile {
     writer: Writer<NoSeek<Counted>>,
     file: Arc<File>,
     bytes: Arc<AtomicU64>,
-    /// How much of it is whole chunks.
+    /// Number of bytes in whole chunks.
     whole: u64,
     torn: Arc<AtomicBool>,
     channels: BTreeMap<String, u16>,
-    /// Stamp of its first frame.
+    /// Stamp of the first frame in the file.
     begin_ns: Option<u64>,
-    /// The frame of each origin whose pose was written last.
+    /// Epoch and sequence number of the last frame of each origin whose pose was written.
     placed: BTreeMap<Text<32>, (u64, u64)>,
-    /// Since when something waits to be in the file.
+    /// Since when something waits to be flushed.
     waits: Option<Instant>,
 }
 
-/// A file, and how much was written into it.
+/// A file that counts the bytes written into it.
 struct Counted {
     file: Arc<File>,
     bytes: Arc<AtomicU64>,
-    /// Set when something could not be written: nothing may follow it.
+    /// Set when a write has failed: nothing may follow.
     torn: Arc<AtomicBool>,
 }
 
@@ -156,12 +156,12 @@ impl Write for Counted {
 }
 
 impl Recorder {
-    /// A recording of `run` at `path`, whose folder is made where it is missing: behind the files that are there, if `goes_on`,
-    /// because an earlier process of that run has left some of them, or else anew. With the first message, one that may have several
-    /// files takes the place of all of an earlier one.
+    /// Creates a recording of `run` at `path`, and its folder if that is missing. If `goes_on`, because an earlier process of
+    /// that run has written files already, it continues behind these; else it begins anew. A recording that may have several
+    /// files replaces all files of an earlier one with its first message.
     ///
     /// # Errors
-    /// It cannot be made or written.
+    /// The file cannot be created or written.
     pub fn create(path: &Path, limits: Limits, run: u64, goes_on: bool) -> Result<Self> {
         let there = files_at(path, goes_on || limits.has_several_files());
         let number = there.last().filter(|_| goes_on).map_or(0, |last| last + 1);
@@ -193,27 +193,27 @@ impl Recorder {
     /// Writes a message of a topic.
     ///
     /// # Errors
-    /// It cannot be written, such as on a full disk; what was written before is there.
+    /// The message cannot be written, for example because the disk is full; earlier messages are in the file.
     pub fn write(&self, topic: &str, message: &AnyMessage<'_>, latency_ms: Option<f64>) -> Result<Recorded> {
         let mut files = lock(&self.files);
         let path = files.path.clone();
         files.write(topic, message, latency_ms).map_err(|error| told(error, &path))
     }
 
-    /// Puts all that was written into the file, at once and not after a while.
+    /// Writes everything to the file at once.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// The file cannot be written.
     pub fn flush(&self) -> Result<()> {
         let mut files = lock(&self.files);
         let path = files.path.clone();
         files.flush().map_err(|error| told(error, &path))
     }
 
-    /// Completes the file; how many bytes all of them have. Where nothing came, an earlier recording stays.
+    /// Completes the file and returns the size of all files in bytes. Where no message came, an earlier recording stays.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// The file cannot be written.
     pub fn finish(&self) -> Result<u64> {
         let mut files = lock(&self.files);
         let path = files.path.clone();
@@ -229,7 +229,7 @@ impl Recorder {
 }
 
 impl Drop for Recorder {
-    /// Where nothing came of it, such as of a stage that was made on trial, it leaves no file behind.
+    /// Removes the new file if no message came, for example of a stage that was only created on trial.
     fn drop(&mut self) {
         if let Some(first) = lock(&self.files).first.take_if(|first| first.file.is_new()) {
             fs::remove_file(&first.path).ok();
@@ -237,7 +237,7 @@ impl Drop for Recorder {
     }
 }
 
-/// Sees to it, as long as there is a recorder, that what was written is in the file soon, also when nothing follows.
+/// Flushes in the background as long as the recorder exists, also when no further message comes.
 fn keep_flushed(files: &Weak<Mutex<Files>>) {
     while let Some(files) = files.upgrade() {
         lock(&files).flush_if_due();
@@ -246,7 +246,7 @@ fn keep_flushed(files: &Weak<Mutex<Files>>) {
     }
 }
 
-/// An error of writing, with what to do about it.
+/// Adds the path and a hint to an error of writing.
 fn told(error: Error, path: &Path) -> Error {
     let io = error.chain().find_map(|cause| match cause.downcast_ref::<McapError>() {
         Some(McapError::Io(error)) => Some(error),
@@ -259,7 +259,7 @@ fn told(error: Error, path: &Path) -> Error {
     }
 }
 
-/// The name of a file: `run.mcap`, `run_1.mcap`, ..
+/// Returns the name of a file: `run.mcap`, `run_1.mcap`, ..
 fn numbered(path: &Path, number: u64) -> PathBuf {
     if number == 0 {
         return path.to_owned();
@@ -268,7 +268,7 @@ fn numbered(path: &Path, number: u64) -> PathBuf {
     path.with_file_name(format!("{prefix}{number}{ending}"))
 }
 
-/// The numbers of the files that are there of a recording at `path`, which may have several, in their order.
+/// Returns the numbers of the existing files of the recording at `path`, ascending.
 fn files_at(path: &Path, may_be_several: bool) -> Vec<u64> {
     let mut numbers = Vec::from_iter(path.exists().then_some(0));
     if may_be_several {
@@ -278,7 +278,7 @@ fn files_at(path: &Path, may_be_several: bool) -> Vec<u64> {
         let number_of = |name: &str| name.strip_prefix(&prefix)?.strip_suffix(&ending)?.parse::<u64>().ok();
         numbers.extend(names.filter_map(|name| {
             let number = number_of(name.to_str()?)?;
-            // Others may have names that are nearly so, such as `run_01.mcap`.
+            // Skips similar names of other files, such as `run_01.mcap`.
             (number > 0 && numbered(path, number).file_name() == Some(&name)).then_some(number)
         }));
         numbers.sort_unstable();
@@ -286,30 +286,30 @@ fn files_at(path: &Path, may_be_several: bool) -> Vec<u64> {
     numbers
 }
 
-/// A file that is there of a recording which has its first one at `path`.
+/// Returns the first existing file of the recording at `path`.
 pub fn file_at(path: &Path, limits: &Limits) -> Option<PathBuf> {
     files_at(path, limits.has_several_files()).first().map(|number| numbered(path, *number))
 }
 
-/// What stands before and behind the number of a file: `run_` and `.mcap`.
+/// Returns what stands before and after the number in a file name: `run_` and `.mcap`.
 fn around_number(path: &Path) -> (String, String) {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let extension = path.extension().map(|extension| format!(".{}", extension.to_string_lossy())).unwrap_or_default();
     (format!("{stem}_"), extension)
 }
 
-/// The files that may follow that at `path`, which the parameter `key` names.
+/// Describes the files that may follow the one at `path`, which the parameter `key` names.
 pub fn further_files(key: &'static str, path: &Path) -> FileUse {
     let (prefix, ending) = around_number(path);
     FileUse::numbered(key, path.parent().unwrap_or(Path::new("")).to_owned(), prefix, ending)
 }
 
-/// The run that wrote a file, where it tells at its beginning.
+/// Returns the run that wrote a file, if the file names it at its beginning.
 fn run_of(path: &Path) -> Option<u64> {
     if is_special(path) {
         return None;
     }
-    // A chunk is not wanted: what tells the run stands before the first.
+    // The chunks are not read: the run stands before the first one.
     let options = LinearReaderOptions::default().with_emit_chunks(true);
     let mut reader = LinearReader::new_with_options(options.with_record_length_limit(MAX_RECORD_BYTES as usize));
     let mut file = File::open(path).ok()?;
@@ -336,7 +336,7 @@ impl FirstFile {
 }
 
 impl Files {
-    /// Takes the place of an earlier recording, as something is to be written.
+    /// Replaces an earlier recording when the first message comes.
     fn begin(&mut self) -> Result<()> {
         let Some(FirstFile { path, file, earlier }) = &mut self.first else { return Ok(()) };
         earlier.iter().filter(|file| *file != path).try_for_each(fs::remove_file)?;
@@ -368,7 +368,7 @@ impl Files {
         self.failure.take().map_or(Ok(Recorded::Written), Err)
     }
 
-    /// Begins another file where this one is long or large enough, and keeps to the limit of all.
+    /// Begins another file when this one is long or large enough; keeps to the limit for all files.
     fn split(&mut self, stamp_ns: u64) -> Result<()> {
         let Some(open) = &mut self.open else { return Ok(()) };
         let begin_ns = *open.begin_ns.get_or_insert(stamp_ns);
@@ -422,10 +422,10 @@ impl Files {
 }
 
 impl OpenFile {
-    /// Begins a recording in a file that is empty.
+    /// Begins a recording in an empty file.
     fn begin(path: &Path, file: File, run: u64) -> Result<Self> {
         let (file, bytes, torn) = (Arc::new(file), Arc::new(AtomicU64::new(0)), Arc::default());
-        // A chunk is written at once, when it is whole.
+        // A chunk is written as soon as it is whole.
         let options = WriteOptions::new()
             .profile("ros2")
             .library(concat!("conicflow ", env!("CARGO_PKG_VERSION")))
@@ -450,24 +450,24 @@ impl OpenFile {
         })
     }
 
-    /// Bytes in the file.
+    /// Number of bytes in the file.
     fn size(&self) -> u64 {
         self.bytes.load(Ordering::Relaxed)
     }
 
-    /// Ends an attempt to write into the file: what was written of one that failed is taken back, so that the file ends with
-    /// a whole chunk, and nothing follows.
+    /// Ends an attempt to write: if it has failed, cuts its bytes off, so that the file ends with a whole chunk, and lets nothing
+    /// follow.
     fn settle<T>(&mut self, written: Result<T>) -> Result<T> {
         if written.is_ok() {
             self.whole = self.size();
         } else if !self.torn.swap(true, Ordering::Relaxed) {
-            // Where not even that is possible, whoever reads the file leaves out the piece at its end.
+            // If that fails, too, readers skip the incomplete chunk at the end.
             self.file.set_len(self.whole).ok();
         }
         written
     }
 
-    /// Writes a message in all its forms, in memory that was used before and is given back.
+    /// Writes a message in all its forms; uses `memory` as buffer and returns it.
     fn write(
         &mut self,
         topic: &str,
@@ -494,7 +494,7 @@ impl OpenFile {
             self.put_ros(&of("markers"), MARKER_ARRAY, header, &markers)?;
             self.put_ros(&of("points"), POINT_CLOUD, header, &points)?;
         }
-        // A type that cannot be shown is recorded as it is.
+        // A type without named fields is recorded only as it is.
         if let Some(items) = all_of(message).filter(|_| item.is_short()) {
             let head = head(header, latency_ms);
             memory = write_list(stamped, &head, &items, memory);
@@ -534,7 +534,7 @@ impl OpenFile {
         data: &[u8],
     ) -> Result<()> {
         self.put(channel, header, data, |writer| {
-            // The list may be empty: what its items have, one of zeros tells.
+            // The list may be empty, so the fields are those of an item of zeros.
             let zeros = vec![0_u64; item.size().div_ceil(size_of::<u64>())];
             let bytes = &bytemuck::cast_slice(&zeros)[..item.size()];
             let items = all_of(&AnyMessage { header, item, bytes }).unwrap_or_default();
@@ -544,7 +544,7 @@ impl OpenFile {
         })
     }
 
-    /// Writes a message into a channel, which is made where it is new.
+    /// Writes a message into a channel; creates the channel if it is new.
     fn put(
         &mut self,
         channel: &str,
@@ -568,7 +568,7 @@ impl OpenFile {
     }
 }
 
-/// All that the items of a list have by name, if they are of a type that can be shown.
+/// Returns the named fields of all items, if the type has them.
 fn all_of<'a>(message: &AnyMessage<'a>) -> Option<Vec<Fields<'a>>> {
     fn of<T: Named>(message: &AnyMessage<'_>) -> Option<Vec<Fields<'static>>> {
         Some(message.items::<T>()?.iter().map(Named::fields).collect())
@@ -577,20 +577,20 @@ fn all_of<'a>(message: &AnyMessage<'a>) -> Option<Vec<Fields<'a>>> {
     of::<Object>(message).or_else(|| of::<Track>(message)).or_else(|| of::<Velocity>(message)).or_else(described)
 }
 
-/// What else a line of JSON has.
+/// Returns the fields that a line of JSON has beside the items.
 fn head(header: &Header, latency_ms: Option<f64>) -> Fields<'_> {
     let source = header.source.as_str().unwrap_or_default();
     let latency_ms = latency_ms.unwrap_or(ABSENT);
     Fields(vec![("sequence", header.sequence.into()), ("source", source.into()), ("latency_ms", latency_ms.into())])
 }
 
-/// What was found as viewers draw it: by markers, and those that have none by points.
+/// Encodes the items for viewers: as markers, and as points for viewers without markers.
 fn drawn<T: Marked>(stamped: Stamped<'_>, items: &[T]) -> [Vec<u8>; 2] {
     [markers(stamped, items, Markers::Replace, Vec::new()), surface_points(stamped, items, Vec::new())]
 }
 
-/// A depth image: in millimetres where these are its units, else in metres, where no measurement is not a number, and one that is
-/// too far is infinite.
+/// Encodes a depth image: in millimetres if these are its units; else in metres, where NaN means no measurement and infinity
+/// means too far.
 fn image(stamped: Stamped<'_>, header: &Header, pixels: &[u16], memory: Vec<u8>) -> Vec<u8> {
     let size = (header.camera.width, header.camera.height);
     if header.depth_scale == MILLIMETRE {

@@ -1,6 +1,6 @@
-//! Reads a file of a recording from its beginning to its end, past what is damaged in it.
+//! Reads a file of a recording from beginning to end, and skips damaged parts.
 //!
-//! A record says how long it is. So what cannot be read, a chunk for the most part, is left out, and reading goes on behind it.
+//! Each record begins with its length. So a damaged record, mostly a chunk, is skipped, and reading continues after it.
 
 use super::summary::{summary, topics_with_messages};
 use super::zstd::Zstd;
@@ -13,9 +13,9 @@ use std::fs::File;
 use std::io::{BufReader, ErrorKind, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-/// Read at once.
+/// Size of the read buffer.
 const BUFFER_BYTES: usize = 1 << 20;
-/// What each record begins with: its kind and length.
+/// Length of a record's header: its kind and length.
 const RECORD_HEADER_BYTES: u64 = 9;
 
 /// A file that is being read.
@@ -24,37 +24,37 @@ pub(super) struct Sequential {
     file: BufReader<File>,
     file_bytes: u64,
     reader: LinearReader,
-    /// Longest record.
+    /// Longest record, in bytes.
     limit: usize,
     channels: ChannelAccumulator<'static>,
-    /// So far the file was read.
+    /// Number of bytes read so far.
     at: u64,
-    /// Where the record begins in which that is, or one before it.
+    /// Offset of the record that contains this position, or of an earlier one.
     record: u64,
-    /// Whether a chunk is checked before its messages are used.
+    /// Whether the checksum of a chunk is checked before its messages are used.
     is_checked: bool,
-    /// Whether all messages were read.
+    /// Whether all messages were read, so that only the end of the file follows.
     is_past_data: bool,
     is_done: bool,
     messages: u64,
-    /// So far it was read when the last of them was found.
+    /// Value of `at` when the last message was found.
     message_at: u64,
     left_out: LeftOut,
 }
 
 /// Reads the messages of a file.
 pub(super) trait Reader: Iterator<Item = McapResult<Message<'static>>> + Send {
-    /// What was left out so far.
+    /// Returns the damaged places so far.
     fn left_out(&self) -> &LeftOut;
 
-    /// Whether messages come in the order of their times.
+    /// Whether messages come in the order of time.
     fn is_in_order(&self) -> bool;
 }
 
-/// The places of a file that were left out, because they are damaged.
+/// The damaged places of a file, which were skipped.
 #[derive(Default)]
 pub(super) struct LeftOut {
-    /// What was wrong with the first of them.
+    /// Error of the first one.
     pub first: Option<McapError>,
     pub count: u64,
 }
@@ -67,7 +67,7 @@ impl LeftOut {
 }
 
 impl Sequential {
-    /// The messages of a file, with records that are no longer than `limit`.
+    /// Opens a file for reading messages; records may have `limit` bytes at most.
     pub(super) fn open(path: &Path, limit: usize) -> McapResult<Self> {
         let file = File::open(path)?;
         Ok(Self {
@@ -121,14 +121,14 @@ impl Sequential {
         }
     }
 
-    /// Goes on behind what is damaged; the damage is the end where nothing tells how long it is.
+    /// Continues after a damaged record; returns the damage as the error if that record's length is not known.
     fn pass_over(&mut self, damage: McapError) -> McapResult<()> {
         if self.at <= MAGIC.len() as u64 || self.is_past_data {
             return Err(damage);
         }
         let Some((kind, end)) = self.find_record()? else { return Err(damage) };
-        // What is whole in a chunk that was cut counts, and so does a chunk that is too long to be checked first; if some of its
-        // messages were found, all were.
+        // The whole messages of a truncated chunk are used, and so are those of a chunk too long to be checked first. If some of
+        // its messages were already returned, all were.
         let is_long = match damage {
             McapError::UnexpectedEof => self.at < end,
             McapError::ChunkTooLarge(_) => true,
@@ -146,7 +146,7 @@ impl Sequential {
         };
         let Some(next) = next.filter(|next| *next < self.file_bytes) else { return Err(damage) };
         if self.left_out.count == 0 {
-            // What is left out may have described channels.
+            // The skipped record may have described channels.
             if let Some(summary) = summary.filter(|summary| topics_with_messages(summary).is_some()) {
                 self.channels = ChannelAccumulator::from_summary(&summary);
             }
@@ -155,7 +155,7 @@ impl Sequential {
         self.go_on(next, true)
     }
 
-    /// Finds the record in which reading has stopped: its kind, and where it ends; none where the file ends in its header.
+    /// Finds the record in which reading stopped, and returns its kind and end; `None` if the file ends in its header.
     fn find_record(&mut self) -> McapResult<Option<(u8, u64)>> {
         loop {
             self.file.seek(SeekFrom::Start(self.record))?;
@@ -173,7 +173,7 @@ impl Sequential {
         }
     }
 
-    /// Reads on at a record.
+    /// Continues reading at a record.
     fn go_on(&mut self, record: u64, is_checked: bool) -> McapResult<()> {
         self.file.seek(SeekFrom::Start(record))?;
         self.reader = reader(self.limit, true, is_checked)?;
@@ -201,7 +201,7 @@ impl Iterator for Sequential {
         }
         let mut next = self.read();
         self.is_done = !matches!(next, Ok(Some(_)));
-        // Where nothing is left, the damage is what there is to tell.
+        // If the file has no readable message, the first damage is returned as its error.
         if self.is_done
             && self.messages == 0
             && let Some(damage) = self.left_out.first.take()
@@ -212,8 +212,7 @@ impl Iterator for Sequential {
     }
 }
 
-/// The message that a record holds, with its channel, if it holds one; where something was left out, that may have described the
-/// channel.
+/// Returns the message of a record, if it has one. After damage, its channel may be unknown; it is skipped then.
 fn take(
     opcode: u8,
     data: &[u8],
@@ -237,7 +236,7 @@ fn take(
     Ok(None)
 }
 
-/// Reads the records from the beginning of a file, or those that follow where `is_inside`.
+/// Creates a reader for the beginning of a file, or if `is_inside` for records in the middle.
 fn reader(limit: usize, is_inside: bool, is_checked: bool) -> McapResult<LinearReader> {
     let options = LinearReaderOptions::default()
         .with_skip_start_magic(is_inside)
@@ -258,7 +257,7 @@ fn read_some(file: &mut impl Read, target: &mut [u8]) -> std::io::Result<usize> 
     }
 }
 
-/// An error of what a file holds: lz4 tells its own as if the file could not be read.
+/// Turns an I/O error into one of the content: lz4 reports damaged data as an I/O error.
 pub(super) fn of_content(error: McapError) -> McapError {
     match error {
         McapError::Io(error) => McapError::DecompressionError(error.to_string()),

@@ -1,4 +1,4 @@
-//! What stands at the end of a file of a recording: what is in it, and where.
+//! Reads the summary at the end of a recording's file: what the file has, and where.
 
 use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader};
 use mcap::{McapResult, Summary};
@@ -9,7 +9,7 @@ use std::path::Path;
 /// Longest record: the largest image of single precision has 256 MB.
 pub(super) const MAX_RECORD_BYTES: u64 = 512 << 20;
 
-/// What the end of a file tells of it; none where it tells nothing.
+/// Reads the summary of a file; `None` if it has none.
 pub(super) fn summary(path: &Path) -> McapResult<Option<Summary>> {
     let (mut file, mut reader) = (File::open(path)?, SummaryReader::new());
     while let Some(event) = reader.next_event() {
@@ -24,8 +24,8 @@ pub(super) fn summary(path: &Path) -> McapResult<Option<Summary>> {
     Ok(reader.finish().filter(|summary| summary.stats.is_some()))
 }
 
-/// The topics that have messages; none where the end of a file does not tell them all: it may leave out channels, and how many
-/// messages each has.
+/// Returns the topics that have messages; `None` if the summary does not name all of them, since it may leave out channels and
+/// the counts of their messages.
 pub(super) fn topics_with_messages(summary: &Summary) -> Option<Vec<String>> {
     let stats = summary.stats.as_ref()?;
     let counts = || stats.channel_message_counts.iter().filter(|(_, count)| **count > 0);

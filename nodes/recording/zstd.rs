@@ -1,10 +1,10 @@
-//! Chunks that were compressed by zstd, read without the C library: that would take as long to build as all of `mcap`.
+//! Decompresses zstd chunks without the C library, which would take as long to build as all of `mcap`.
 
 use mcap::sans_io::decompressor::{DecompressResult, Decompressor};
 use mcap::{McapError, McapResult};
 use ruzstd::decoding::FrameDecoder;
 
-/// Bytes with which the decoder goes on for sure: the largest block, its header and that of a frame.
+/// Number of bytes with which the decoder always makes progress: the largest block, its header and that of a frame.
 const BLOCK_BYTES: usize = 128 * 1024 + 3 + 18;
 
 /// Decodes the chunks of a file, one after the other.

@@ -35,30 +35,31 @@ impl Default for ConsoleSinkConfig {
     }
 }
 
-/// An item that can be told in one line of text.
+/// An item that can be described in one line of text.
 pub trait Describe: Item {
-    /// Writes the line, without indent and line feed.
+    /// Writes the description, without indent and line feed.
     ///
     /// # Errors
-    /// Those of the place written to.
+    /// The text cannot be written.
     fn describe(&self, text: &mut impl fmt::Write) -> fmt::Result;
 
-    /// Writes what it is and how large, as short as can be.
+    /// Writes kind and size, as short as possible.
     ///
     /// # Errors
-    /// Those of the place written to.
+    /// The text cannot be written.
     fn sketch(&self, text: &mut impl fmt::Write) -> fmt::Result;
 
-    /// How it is coloured on a terminal: the parameters of an escape sequence.
+    /// The item's colour on a terminal: the parameters of an escape sequence.
     fn colour(&self) -> &'static str;
 
-    /// Whether it is too uncertain to be shown by default.
+    /// Whether the item is too uncertain to be shown by default.
     fn is_tentative(&self) -> bool {
         false
     }
 }
 
-/// The colours that shapes have in pictures, as near as 256 colours come; what is less likely than not is faint.
+/// Returns the colour of an object's shape as in pictures, as close as 256 colours come; objects of confidence below 0.5 are
+/// faint.
 fn colour_of(object: &Object) -> &'static str {
     let is_doubtful = object.confidence > 0.0 && object.confidence < 0.5;
     match object.shape() {
@@ -144,17 +145,17 @@ impl Describe for Ellipse {
     }
 }
 
-/// What text is written to.
+/// The properties of the text's destination.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Screen {
-    /// A terminal may show the progress of the run in the line in which the text is to begin.
+    /// Whether it is a terminal, which may show the progress of the run in the line where the text begins.
     pub is_terminal: bool,
-    /// Whether it is to be in colours.
+    /// Whether the text is coloured.
     pub in_colours: bool,
 }
 
 impl Screen {
-    /// Standard output: a terminal shows colours, unless `NO_COLOR` asks for none (no-color.org).
+    /// Standard output: coloured if it is a terminal, unless `NO_COLOR` is set (no-color.org).
     pub fn standard_output() -> Self {
         let is_terminal = io::stdout().is_terminal();
         let wants_colours = std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty());
@@ -162,31 +163,30 @@ impl Screen {
     }
 }
 
-/// Writes messages as text: one line that tells what was found and in which frame, and one, indented, for each item; or all of
-/// it in one line.
+/// Writes messages as text: one line about the frame, and an indented one for each item; or everything in one line.
 pub struct Console<W> {
     place: W,
     config: ConsoleSinkConfig,
     screen: Screen,
     decimator: Decimator,
-    /// When a message of each camera was shown last.
+    /// When a message of each camera was last shown.
     shown: BTreeMap<Text<32>, Instant>,
-    /// The newest message of each camera whose time has not come.
+    /// The newest message of each camera that waits until its period has passed.
     held: BTreeMap<Text<32>, String>,
     text: String,
 }
 
 impl<W: Write> Console<W> {
-    /// A console on `place`.
+    /// Creates a console that writes to `place`.
     pub fn new(place: W, config: ConsoleSinkConfig, screen: Screen) -> Self {
         let decimator = Decimator::new(config.every.into(), 0);
         Self { place, decimator, config, screen, shown: BTreeMap::new(), held: BTreeMap::new(), text: String::new() }
     }
 
-    /// Shows a message, if it is its turn.
+    /// Shows a message if it is due.
     ///
     /// # Errors
-    /// Those of the place written to.
+    /// The text cannot be written.
     pub fn show<T: Describe>(&mut self, message: &Message<T>) -> io::Result<()> {
         if !self.decimator.is_due(message.header) {
             return Ok(());
@@ -204,10 +204,10 @@ impl<W: Write> Console<W> {
         self.place.flush()
     }
 
-    /// Shows the last message of each camera, if its time had not come.
+    /// Shows the message of each camera that still waits.
     ///
     /// # Errors
-    /// Those of the place written to.
+    /// The text cannot be written.
     pub fn finish(&mut self) -> io::Result<()> {
         for text in std::mem::take(&mut self.held).into_values() {
             self.place.write_all(text.as_bytes())?;
@@ -215,7 +215,7 @@ impl<W: Write> Console<W> {
         self.place.flush()
     }
 
-    /// Whether the last message of the same camera was shown long enough ago.
+    /// Whether the period since the last message of the same camera has passed.
     fn is_time(&mut self, header: &Header) -> bool {
         let now = Instant::now();
         let last = self.shown.get(&header.origin());
@@ -253,7 +253,7 @@ impl<W: Write> Console<W> {
         Ok(())
     }
 
-    /// Writes something between the escape sequences of a colour, where there are colours.
+    /// Writes text in a colour, if colours are on.
     fn coloured(&mut self, colour: &str, write: impl FnOnce(&mut String) -> fmt::Result) -> fmt::Result {
         if !self.screen.in_colours {
             return write(&mut self.text);
@@ -296,7 +296,7 @@ impl<T: Describe> Stage for ConsoleSink<T> {
 }
 
 impl<T> ConsoleSink<T> {
-    /// Stops where nobody reads any more, which is no error.
+    /// Stops the stage without an error if the reader of standard output is gone.
     fn is_read_or_stops(&self, shown: io::Result<()>) -> Result<(), StageError> {
         match shown {
             Err(error) if error.kind() == ErrorKind::BrokenPipe => self.stop.request(),

@@ -1,9 +1,9 @@
-//! Which messages are shown where not all are: one in so many, of each camera.
+//! Chooses one in so many messages of each camera.
 
 use conicflow_messages::{Header, Text};
 use std::collections::BTreeMap;
 
-/// Counts messages, those of each camera for themselves: of cameras that alternate none is left out for ever.
+/// Counts the messages of each camera separately, so that of alternating cameras none is always left out.
 pub struct Decimator {
     every: u64,
     resume_at: u64,
@@ -11,12 +11,12 @@ pub struct Decimator {
 }
 
 impl Decimator {
-    /// One in `every` messages, after `resume_at` that were taken before a restart.
+    /// Chooses one in `every` messages; `resume_at` were taken before a restart.
     pub fn new(every: u64, resume_at: u64) -> Self {
         Self { every: every.max(1), resume_at, taken: BTreeMap::new() }
     }
 
-    /// Whether it is the turn of a message.
+    /// Whether a message is due.
     pub fn is_due(&mut self, header: &Header) -> bool {
         let taken = self.taken.entry(header.origin()).or_insert(self.resume_at);
         *taken += 1;

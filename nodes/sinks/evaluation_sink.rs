@@ -1,5 +1,5 @@
-//! The sink that scores a detector: objects or tracks against what was really there, as tables on standard output, and in one
-//! row, which `conicflow run` makes a table of where the pipeline file has an `[experiment]`. The scoring itself is
+//! Scores a detector: compares objects or tracks with the truth, and prints tables to standard output. It also writes one row, of
+//! which `conicflow run` makes a table if the pipeline file has an `[experiment]`. The scoring itself is in
 //! [`conicflow_lab::score`].
 
 use super::json_lines::JsonLines;
@@ -24,19 +24,19 @@ use std::path::{Path, PathBuf};
 pub struct EvaluationConfig {
     /// Scene file that the source shows; random and built-in scenes are known by the names in the frames.
     pub scene: Option<PathBuf>,
-    /// Truth file of a recording: what was measured in its frames; none: the frames are rendered.
+    /// Truth file of a recording, with the measured objects of its frames; none: the frames are rendered.
     pub truth: Option<PathBuf>,
-    /// Which true objects of rendered frames have to be found; right answers about others are not counted.
+    /// Criteria for the true objects of rendered frames that have to be found; right answers about others are not counted.
     pub required: VisibilityCriteria,
-    /// How far off an answer about a rendered frame may be and still be right.
+    /// Largest errors of a right answer about a rendered frame.
     pub tolerance: Tolerances,
     /// The same for a recording, with `truth`.
     pub recorded_tolerance: RecordedTolerances,
-    /// File for the counts and medians of all frames, as one line of JSON, which an experiment makes a table of; none: not
+    /// File for the counts and medians of all frames as one line of JSON, of which an experiment makes a table; none: not
     /// written.
     pub path: Option<PathBuf>,
-    /// File for what was missed and what was wrong, one line of JSON per frame that is judged; its folder is made if need be;
-    /// none: not written.
+    /// File for missed objects and wrong answers, one line of JSON per judged frame; its folder is created if need be; none: not
+    /// written.
     pub details_path: Option<PathBuf>,
 }
 
@@ -51,7 +51,7 @@ impl EvaluationConfig {
         self.truth.as_ref().map(load).transpose()
     }
 
-    /// An evaluation against the truth that they name, relative to `base`.
+    /// Returns an evaluation against the configured truth, with paths relative to `base`.
     ///
     /// # Errors
     /// A file cannot be read.

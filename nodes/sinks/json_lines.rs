@@ -1,5 +1,5 @@
-//! A file of whole lines: each is written and handed to the system at once, so that a crash loses none that was
-//! finished and leaves none torn for the next start.
+//! A file of whole lines: each is passed to the system at once, so that a crash loses no finished line and leaves no torn one for
+//! the next start.
 
 use anyhow::{Context as _, anyhow};
 use conicflow_dataflow::CLEAR_LINE;
@@ -18,7 +18,7 @@ pub struct JsonLines {
 
 enum Destination {
     StandardOutput,
-    /// A regular file has a length of whole lines to go back to; a pipe or device has none.
+    /// A regular file has a length of whole lines, to which it is cut after an error; a pipe or device has none.
     File {
         file: LateFile,
         path: PathBuf,
@@ -26,26 +26,26 @@ enum Destination {
     },
 }
 
-/// What became of a line.
+/// The outcome of writing a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wrote {
-    /// It was written.
+    /// The line was written.
     Line,
-    /// Whoever read at the other end of the pipe has gone (`| head`).
+    /// The reader at the other end of the pipe is gone (`| head`).
     ReaderGone,
 }
 
 impl JsonLines {
-    /// Lines on standard output.
+    /// Writes lines to standard output.
     pub fn standard_output() -> Self {
         Self::to(Destination::StandardOutput)
     }
 
-    /// Lines in the file at `path`, whose folder is made where it is missing. Its content is kept if `append`, but for a
-    /// torn last line, and otherwise until the first line.
+    /// Writes lines to the file at `path`; creates its folder if that is missing. With `append` its content is kept except for a
+    /// torn last line; else it stays until the first line is written.
     ///
     /// # Errors
-    /// The folder or the file cannot be made or written.
+    /// The folder or the file cannot be created or written.
     pub fn open(path: &Path, append: bool) -> anyhow::Result<Self> {
         let open = || {
             let late = LateFile::open(path)?;
@@ -67,7 +67,7 @@ impl JsonLines {
         Self { destination, line: Vec::new() }
     }
 
-    /// The last line of a file that is gone on with.
+    /// Returns the last line of a file opened with `append`.
     ///
     /// # Errors
     /// The file cannot be read.
@@ -79,7 +79,7 @@ impl JsonLines {
             let start = end_of_last_line(file, end)?;
             let mut line = vec![0; (end - start) as usize];
             file.read_exact_at(&mut line, start)?;
-            // Where the next line goes.
+            // The position for the next line.
             file.seek(SeekFrom::Start(*whole))?;
             Ok(line)
         };
@@ -89,12 +89,12 @@ impl JsonLines {
     /// Writes one value as one line.
     ///
     /// # Errors
-    /// The line cannot be written, such as on a full disk; no part of it remains in a file.
+    /// The line cannot be written, for example because the disk is full; no part of it remains in a file.
     pub fn write(&mut self, value: &impl Serialize) -> anyhow::Result<Wrote> {
         self.write_with(|line| serde_json::to_writer(line, value))
     }
 
-    /// Writes what `express` appends as one line.
+    /// Writes one line with the text that `express` appends.
     ///
     /// # Errors
     /// The line cannot be expressed or written; no part of it remains in a file.
@@ -112,17 +112,17 @@ impl JsonLines {
         }
     }
 
-    /// Drops what an earlier run has left in the file, as what is to be written has no lines, or more than none.
+    /// Deletes the content of an earlier run, even if no line follows.
     ///
     /// # Errors
-    /// It cannot be dropped.
+    /// The content cannot be deleted.
     pub fn begin(&mut self) -> anyhow::Result<()> {
         let Destination::File { file, .. } = &mut self.destination else { return Ok(()) };
         let begun = file.begin().map(drop);
         begun.map_err(|error| self.fault(&error))
     }
 
-    /// Warns where the file still holds what an earlier run has left in it, as nothing came.
+    /// Warns if the file still has the content of an earlier run, as nothing was written.
     pub fn tell_if_earlier(&self) {
         if let Destination::File { file, path, .. } = &self.destination
             && file.is_earlier()
@@ -146,7 +146,7 @@ impl Destination {
             Self::StandardOutput => {
                 let mut output = io::stdout().lock();
                 if output.is_terminal() {
-                    // The progress of the run may stand there.
+                    // The progress of the run may be in this line.
                     output.write_all(CLEAR_LINE.as_bytes())?;
                 }
                 output.write_all(line)?;
@@ -161,8 +161,8 @@ impl Destination {
     }
 }
 
-/// Ends the writing of a line of `length` bytes: what was written of one that failed is taken back. Where not even that
-/// is possible, the next start cuts it off.
+/// Ends the writing of a line of `length` bytes; if it failed, cuts off what was written of it. If that fails, too, the next
+/// start cuts it off.
 fn settle(file: &mut File, whole: &mut Option<u64>, length: usize, result: io::Result<()>) -> io::Result<()> {
     let Some(whole) = whole else { return result };
     if result.is_ok() {
@@ -173,25 +173,25 @@ fn settle(file: &mut File, whole: &mut Option<u64>, length: usize, result: io::R
     result
 }
 
-/// Length of a regular file.
+/// Length of a regular file; `None` for a pipe or device.
 fn length(file: &File) -> io::Result<Option<u64>> {
     let about = file.metadata()?;
     Ok(about.is_file().then_some(about.len()))
 }
 
-/// Cuts off what stands after the last line feed, and goes on from there; the length that is left.
+/// Cuts off what follows the last line feed, moves to the end, and returns the length.
 fn cut_torn_line(mut file: &File) -> io::Result<Option<u64>> {
     let Some(length) = length(file)? else { return Ok(None) };
     let whole = end_of_last_line(file, length)?;
     if whole < length {
-        // Nobody else is to lose what it adds meanwhile: a successor looks into the file of a stage that is at work.
+        // Only if needed, so as not to cut off lines added meanwhile: a successor opens the file while the stage still writes.
         file.set_len(whole)?;
     }
     file.seek(SeekFrom::Start(whole))?;
     Ok(Some(whole))
 }
 
-/// Position behind the last line feed, looked for from the end.
+/// Returns the position after the last line feed, searched from the end.
 fn end_of_last_line(mut file: &File, length: u64) -> io::Result<u64> {
     let mut buffer = [0; 4096];
     let mut end = length;

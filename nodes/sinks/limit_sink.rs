@@ -1,5 +1,5 @@
-//! The sink that holds a detector against what can be known at all: its scatter beside the bounds of Cramer and Rao. Each
-//! quantity of each object gives one row of an `[experiment]`. The measuring itself is [`conicflow_lab::score::limit`].
+//! Compares a detector with what is possible at all: its scatter with the Cramer-Rao bounds. Each quantity of each object gives
+//! one row of an `[experiment]`. The computation is in [`conicflow_lab::score::limit`].
 
 use super::measurement_sink::write_rows;
 use crate::faults::{refuse_restart, stage_error};
@@ -17,12 +17,12 @@ use std::path::{Path, PathBuf};
 pub struct LimitConfig {
     /// Scene file that the source shows, in which nothing moves; random and built-in scenes are known by the names in the frames.
     pub scene: Option<PathBuf>,
-    /// How far off an answer may be and still be right.
+    /// Largest errors of a right answer.
     pub tolerance: Tolerances,
     /// Angle between ray and normal from which on the sensor loses points, in degrees: that of the source's noise.
     #[schemars(range(min = 0.0, max = 90.0))]
     pub dropout_angle_deg: f64,
-    /// Standard deviation of a silhouette's place, in pixels: that of the source's noise.
+    /// Standard deviation of a silhouette's position, in pixels: that of the source's noise.
     #[schemars(range(min = 0.0, max = 8.0))]
     pub edge_jitter_px: f64,
     /// File for the rows, as lines of JSON; none: standard output.
@@ -30,7 +30,7 @@ pub struct LimitConfig {
 }
 
 impl Default for LimitConfig {
-    /// Those of the simulated Kinect v1.
+    /// The values of the simulated Kinect v1.
     fn default() -> Self {
         Self { scene: None, tolerance: Tolerances::default(), dropout_angle_deg: 70.0, edge_jitter_px: 0.5, path: None }
     }

@@ -1,5 +1,4 @@
-//! The sink that records: what drives it and what goes with it, into an MCAP file that others read and that `mcap_source`
-//! replays.
+//! Records the input and side inputs into an MCAP file that other programs can read and that `mcap_source` replays.
 
 use crate::faults::stage_error;
 use crate::recording::recorder::{Limits, Recorded, Recorder, further_files};
@@ -44,12 +43,12 @@ impl Config {
     }
 }
 
-/// Writes messages with items of type `T` into a recording, with what was made of the same frames.
+/// Writes messages with items of type `T` into a recording, with the side inputs of the same frames.
 pub struct McapSink<T> {
     recorder: Recorder,
-    /// Whether no message may be lost, also if this process is killed.
+    /// Whether no message may be lost, even if this process is killed.
     is_lossless: bool,
-    /// What the items are.
+    /// Type of the items.
     item: ItemType,
     is_told: bool,
     items: PhantomData<T>,
@@ -113,7 +112,7 @@ impl<T: Item> Stage for McapSink<T> {
             tracing::warn!("the recording has reached `limit_mb`: no more is recorded");
         }
         if self.is_lossless {
-            // Whoever wrote these keeps them no longer.
+            // Their writers do not keep these messages any longer.
             self.recorder.flush().map_err(stage_error)?;
         }
         output.count("messages recorded", (recorded.len() - left_out) as u64);
@@ -128,7 +127,7 @@ impl<T: Item> Stage for McapSink<T> {
 }
 
 impl<T> McapSink<T> {
-    /// Records the message of a further input, if there is one.
+    /// Records the message of a side input, if there is one.
     fn side<S: Item>(&self, sides: &SideInputs, name: &'static str) -> Result<Vec<Recorded>, StageError> {
         let Some(message) = sides.get::<S>(name) else { return Ok(Vec::new()) };
         let item = shown(const { ItemType::of::<S>() });
@@ -141,7 +140,7 @@ impl<T> McapSink<T> {
     }
 }
 
-/// The same item type, as one that can be shown if this program can.
+/// Returns the item type as in the table of built-in types, which can be shown; or else unchanged.
 fn shown(item: ItemType) -> ItemType {
     BUILT_IN.iter().find(|row| row.fits(&item)).cloned().unwrap_or(item)
 }

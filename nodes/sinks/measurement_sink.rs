@@ -1,9 +1,8 @@
-//! The sink that measures: what was found of each true object of a rendered scene, in mean and standard deviation, and how
-//! well identities were kept. Each object gives one row of figures, which `conicflow run` makes a table of where the
-//! pipeline file has an `[experiment]`; else the rows go to standard output. The measuring itself is
-//! [`conicflow_lab::score::measurement`].
+//! Measures what was found of each true object of a rendered scene, by mean and standard deviation, and how well identities were
+//! kept. Each object gives one row, of which `conicflow run` makes a table if the pipeline file has an `[experiment]`; else the
+//! rows go to standard output. The computation is in [`conicflow_lab::score::measurement`].
 //!
-//! The tolerances are wide: a radius that is far off is to be measured, not to be turned down.
+//! The tolerances are wide: a radius far off is to be measured, not to be rejected.
 
 use super::json_lines::JsonLines;
 use crate::faults::{refuse_restart, stage_error};
@@ -23,16 +22,16 @@ use std::path::{Path, PathBuf};
 pub struct MeasurementConfig {
     /// Scene file that the source shows; random and built-in scenes are known by the names in the frames.
     pub scene: Option<PathBuf>,
-    /// Which true objects are measured, where enough of them is seen.
+    /// Criteria for the true objects that are measured: enough of them has to be visible.
     pub required: VisibilityCriteria,
-    /// How far off an answer may be and still be about an object.
+    /// Largest errors of an answer that counts as one about an object.
     pub tolerance: Tolerances,
     /// Frames before this time are left out, for a filter to settle, in seconds; of recorded frames since the first.
     #[schemars(range(min = 0.0))]
     pub from_s: f64,
     /// File for the rows, as lines of JSON; none: standard output.
     pub path: Option<PathBuf>,
-    /// File for each frame's sights, as CSV, world frame; none: not written.
+    /// File for the observations in each frame, as CSV, world frame; none: not written.
     pub trace_path: Option<PathBuf>,
 }
 
@@ -111,7 +110,7 @@ impl<T: Claim> Stage for MeasurementSink<T> {
     }
 }
 
-/// Writes rows as lines of JSON, to standard output where there is no path.
+/// Writes rows as lines of JSON, to standard output if there is no path.
 pub(super) fn write_rows(path: Option<&Path>, rows: &[Row]) -> Result<()> {
     let mut lines = match path {
         Some(path) => JsonLines::open(path, false)?,

@@ -1,4 +1,4 @@
-//! The noise of a sensor from a recording, printed as the line that a pipeline file needs.
+//! Estimates the noise of a sensor from a recording, and prints it as a line for the pipeline file.
 
 use crate::faults::refuse_restart;
 use conicflow_dataflow::{Context, Output, SideInputs, Stage, StageError};

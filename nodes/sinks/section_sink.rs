@@ -1,5 +1,5 @@
-//! The sink that measures ellipses against one true section: how often it was found, and mean and standard deviation of its
-//! semi-axes ([`Sections`]). Its row is one of an `[experiment]`, as the `measurement_sink`'s are.
+//! Measures ellipses against one true section: how often it was found, and mean and standard deviation of its semi-axes
+//! ([`Sections`]). Its row is one of an `[experiment]`, like those of `measurement_sink`.
 
 use super::measurement_sink::write_rows;
 use crate::faults::refuse_restart;

@@ -1,6 +1,7 @@
-//! The sink that shows what comes on a page for the browser, as `conicflow view` does from outside, as a part of the run.
+//! Shows its input on a page for the browser, like `conicflow view`, but as a part of the run.
 //!
-//! A step costs a copy of the frame while somebody looks, and nothing else; the page is served by threads that give way.
+//! A step costs a copy of the frame while a browser is connected, and nothing else; the page is served by threads of low
+//! priority.
 
 use crate::viewing::graph::GraphWatch;
 use crate::viewing::{list_of, pausing};
@@ -17,19 +18,18 @@ use std::sync::{Arc, Weak};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// How often the stages are looked at.
+/// Period of the graph's updates.
 const PERIOD: Duration = Duration::from_secs(1);
-/// How often is looked whether the sink has ended.
+/// Period of the checks whether the sink has ended.
 const END_CHECK_PERIOD: Duration = Duration::from_millis(250);
 
 /// Parameters of `view_sink`.
 #[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ViewSinkConfig {
-    /// Where the page is offered, as ADDRESS or ADDRESS:PORT; default: 127.0.0.1:8760, or another port where that is taken.
+    /// Address of the page, as ADDRESS or ADDRESS:PORT; default: 127.0.0.1:8760, or another port where that is taken.
     pub listen: Option<String>,
-    /// What has to be known to see the page; default: nothing at 127.0.0.1, and where other machines may come a token that is
-    /// made and logged.
+    /// Token that is needed to see the page; default: none at 127.0.0.1; where other machines may come, one is made and logged.
     pub token: Option<String>,
 }
 
@@ -92,8 +92,7 @@ impl<T: Item> Stage for ViewSink<T> {
     }
 }
 
-/// Tells once a second, while somebody looks, what the stages of the run do that this process is one of, and pauses it as is
-/// wished.
+/// Shows the state of the run's stages on the page once a second while a browser is connected, and pauses the run on request.
 fn show_graph(shown: &Weak<Display>) {
     give_way();
     let (mut watch, mut pipeline, mut looked) = (GraphWatch::default(), None::<String>, Instant::now());

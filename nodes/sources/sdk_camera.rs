@@ -1,7 +1,7 @@
-//! Cameras over the SDKs of their makers, which come as Python packages: RealSense, Orbbec, OAK-D, Azure Kinect.
+//! Cameras with an SDK of their maker that comes as a Python package: RealSense, Orbbec, OAK-D, Azure Kinect.
 //!
-//! Here stand their parameters, which Python runs them, and whether that has what they need. The sources themselves are
-//! `conicflow.cameras` in `python/`.
+//! This file has their parameters, chooses the Python that runs them, and checks that it has the packages. The sources themselves
+//! are `conicflow.cameras` in `python/`.
 
 use crate::faults::one_of_two;
 use conicflow_dataflow::{
@@ -33,8 +33,8 @@ pub struct Config {
     /// Images per second that are asked of the camera; default: as it chooses.
     #[schemars(range(min = 1, max = 1000))]
     pub fps: Option<u32>,
-    /// Depth noise of the sensor: a name (`kinect_v1`, `realsense_d435`, `time_of_flight`, `ideal`) or a table; default: as
-    /// the SDK tells the base line and the focal length of a stereo camera, or what kind of camera it is.
+    /// Depth noise of the sensor: a name (`kinect_v1`, `realsense_d435`, `time_of_flight`, `ideal`) or a table; default: by the
+    /// base line and focal length of a stereo camera as the SDK reports them, or by the kind of camera.
     pub noise: Option<NoiseConfig>,
     /// After so many seconds without an image the camera is opened anew.
     #[schemars(range(min = 0.1, max = 3600.0))]
@@ -50,20 +50,20 @@ impl Default for Config {
     }
 }
 
-/// Where the package for Debian and Ubuntu keeps the Python package, which only the Python of that distribution finds.
+/// Folder in which the Debian package installs the Python package; only the distribution's own Python finds it.
 const OF_DEBIAN: &str = "/usr/lib/python3/dist-packages/conicflow";
 
 /// A maker of cameras.
 pub trait Maker {
     /// The node's name.
     const NODE: &'static str;
-    /// The name of its adapter in `conicflow.cameras`, and of the extra of the package conicflow that brings the SDK.
+    /// Name of the adapter in `conicflow.cameras`, and of the extra of the package conicflow that installs the SDK.
     const ADAPTER: &'static str;
     /// The package with the SDK.
     const SDK: &'static str;
-    /// What the node does, and how far that was tried.
+    /// One sentence about the node, and with which cameras it was tried.
     const SUMMARY: &'static str;
-    /// Whether the SDK plays recordings back without a camera.
+    /// Whether the SDK plays back recordings without a camera.
     const PLAYS_BACK: bool = true;
 }
 
@@ -112,7 +112,7 @@ impl Maker for AzureKinect {
                                    rectifies them; tried with stand-ins for the SDK's classes, not with a camera";
 }
 
-/// The row of a camera; there is none of it in this program.
+/// The node of a camera; this program has only its parameters, as Python runs it.
 pub struct SdkCamera<M>(Infallible, PhantomData<M>);
 
 impl<M: Maker> Source for SdkCamera<M> {
@@ -152,7 +152,7 @@ impl<M: Maker> Source for SdkCamera<M> {
 }
 
 impl<M: Maker> SdkCamera<M> {
-    /// The Python that runs it.
+    /// The Python program that runs the node.
     pub const HOST: Host = Host { command: command::<M>, check: check::<M> };
 }
 
@@ -160,7 +160,7 @@ fn command<M: Maker>(parameters: &Json, base: &Path) -> Result<Vec<String>, Hint
     Ok(vec![python(parameters, base), "-m".to_owned(), "conicflow.cameras".to_owned(), M::ADAPTER.to_owned()])
 }
 
-/// The Python that the parameters name, else that of the virtual environment, else the first in PATH.
+/// Returns the Python that the parameters name, or that of the virtual environment, or the first in PATH.
 fn python(parameters: &Json, base: &Path) -> String {
     let environment = || std::env::var_os("VIRTUAL_ENV").map(|folder| Path::new(&folder).join("bin/python"));
     let python = match parameters.get("python").and_then(Json::as_str) {
@@ -171,7 +171,7 @@ fn python(parameters: &Json, base: &Path) -> String {
     python.unwrap_or_else(|| "python3".into()).to_string_lossy().into_owned()
 }
 
-/// Asks that Python whether it has what the camera needs; it has to import it for that.
+/// Checks, by importing them in that Python, that it has the packages that the camera needs.
 fn check<M: Maker>(parameters: &Json, base: &Path, env: &Variables) -> Result<(), Hinted> {
     let python = python(parameters, base);
     let mut command = Command::new(&python);
@@ -186,7 +186,7 @@ fn check<M: Maker>(parameters: &Json, base: &Path, env: &Variables) -> Result<()
     if output.status.success() {
         return Ok(());
     }
-    // What it says itself of the SDK comes as JSON; anything else says that the package is not there.
+    // A report about the SDK comes as JSON; any other output means that the package conicflow is missing.
     Err(serde_json::from_slice(&output.stdout).unwrap_or_else(|_| {
         let stderr = String::from_utf8_lossy(&output.stderr);
         let last = stderr.trim_end().lines().last().unwrap_or("it says nothing").to_owned();
@@ -195,7 +195,7 @@ fn check<M: Maker>(parameters: &Json, base: &Path, env: &Variables) -> Result<()
     }))
 }
 
-/// How a Python gets the package conicflow and the SDK: from the sources, or where the package for Debian is installed.
+/// Returns the hint how to install the package conicflow and the SDK: from the sources, or with the Debian package.
 fn how_to_install<M: Maker>(python: &str, on_debian: bool) -> String {
     if !on_debian {
         let install = format!("{python} -m pip install \"./python[{}]\"", M::ADAPTER);
@@ -219,11 +219,11 @@ mod tests {
     use serde_json::json;
     use std::process::Command;
 
-    /// A program that stands in for Python, and what is said of it.
+    /// Runs the check with a shell script in place of Python.
     fn told(script: &str) -> Result<(), Hinted> {
         let folder = tempfile::tempdir().unwrap();
         let program = folder.path().join("python");
-        // By another process: nobody can run what a process that another test just starts has open for writing.
+        // Written by another process: a program cannot be executed while a child of another test still has it open for writing.
         let mut shell = Command::new("sh");
         shell.args(["-c", "printf '#!/bin/sh\\n%s\\n' \"$1\" > \"$0\" && chmod 755 \"$0\""]).arg(&program).arg(script);
         assert!(shell.status().unwrap().success());

@@ -1,4 +1,4 @@
-//! The simulated camera of the laboratory as a source of frames.
+//! The laboratory's simulated camera as a source of frames.
 
 use crate::sinks::json_lines::JsonLines;
 use conicflow_dataflow::{ConfigFault, Context, FileUse, Next, Output, SideInput, SideInputs, Source, StageError};
@@ -8,10 +8,10 @@ use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
 use conicflow_messages::{Header, Velocity};
 use std::path::{Path, PathBuf};
 
-/// Commands made from frames that are older than this are no longer obeyed: whoever drives has gone.
+/// Commands from frames that are older than this are no longer obeyed: the controller has stopped.
 const MAX_COMMAND_AGE_S: f64 = 0.5;
 
-/// The node: a [`SyntheticCamera`] that keeps a pace.
+/// The node: a [`SyntheticCamera`] that keeps a frame rate.
 pub struct SyntheticSource {
     camera: SyntheticCamera,
     rate_hz: f64,
@@ -64,8 +64,8 @@ impl Source for SyntheticSource {
         true
     }
 
-    /// Who drives the camera: the first velocity is the one that it is to take; none lets it stand, as does a command from a
-    /// frame more than half a second before.
+    /// The controller of the camera: its first velocity is used. Without one, or if it is from a frame more than half a second
+    /// old, the camera stands still.
     fn side_inputs() -> &'static [SideInput] {
         const { &[SideInput::latest::<Velocity>("command")] }
     }
@@ -90,14 +90,14 @@ impl Source for SyntheticSource {
 }
 
 impl SyntheticSource {
-    /// The velocity that the camera is to take for the next frame.
+    /// Returns the camera's velocity for the next frame.
     fn command(&self, side_inputs: &SideInputs) -> Option<Velocity> {
         let command = side_inputs.get::<Velocity>("command")?;
         let age_s = self.camera.time_of(self.next) - command.header.stamp_ns as f64 * 1e-9;
         command.items.first().filter(|_| age_s <= MAX_COMMAND_AGE_S).copied()
     }
 
-    /// The true objects of the frame that was shot last.
+    /// Returns the true objects of the last frame.
     fn truth_line(&self) -> TruthLine {
         let mut header = Header::default();
         self.camera.describe(&mut header);

@@ -1,6 +1,6 @@
-//! Where the parameters of a source are written, so that hints say what to write there.
+//! The place where the parameters of a source are written, so that hints name the right syntax.
 
-/// What has the parameters of a source.
+/// The place of a source's parameters.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum WrittenIn {
     /// A stage of a pipeline file.
@@ -11,7 +11,7 @@ pub enum WrittenIn {
 }
 
 impl WrittenIn {
-    /// How this topic is chosen.
+    /// Returns the syntax that chooses this topic.
     pub(super) fn topic(self, topic: &str) -> String {
         match self {
             Self::PipelineFile => format!("topic = \"{topic}\""),
@@ -19,7 +19,7 @@ impl WrittenIn {
         }
     }
 
-    /// How intrinsics are given: each is a number or dots.
+    /// Returns the syntax for intrinsics; each argument is a number or dots.
     pub(super) fn intrinsics(self, [fx, fy, cx, cy]: [&str; 4]) -> String {
         match self {
             Self::PipelineFile => format!("intrinsics = {{ fx = {fx}, fy = {fy}, cx = {cx}, cy = {cy} }}"),

@@ -1,7 +1,7 @@
-//! The follower: turns tracks into the velocity that a robot is to take, towards an object and to a halt before it.
+//! The follower: turns tracks into a velocity command for a robot, which drives towards an object and stops before it.
 //!
-//! The command is a velocity that the camera is to take, along its own axes. None: stand still. A source closes the loop by
-//! reading it as a side input, of which it takes the latest value.
+//! The command is the velocity of the camera along its own axes; without a command the robot stands still. A source closes the
+//! loop by reading it as a side input, as latest value.
 
 use conicflow_dataflow::{ConfigFault, Context, Output, SideInputs, Stage, StageError};
 use conicflow_detection::gravity;
@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// What is followed.
+/// The shape to follow.
 #[derive(Deserialize, Serialize, JsonSchema)]
 #[serde(remote = "ObjectKind", rename_all = "snake_case")]
 #[schemars(rename = "TargetShape")]
@@ -35,14 +35,14 @@ pub struct FollowerConfig {
     /// Distance over ground at which the robot stands still, in metres.
     #[schemars(range(min = 0.0))]
     pub stop_distance_m: f64,
-    /// Speed for each metre of distance that is too much, in 1/s.
+    /// Speed per metre of distance beyond `stop_distance_m`, in 1/s.
     #[schemars(range(min = 0.0))]
     pub gain: f64,
     /// Greatest speed, in m/s.
     #[schemars(range(min = 0.0))]
     pub max_speed_mps: f64,
-    /// Where up is, as a vector in the world where the frames carry a pose, else in the camera's frame; none: the world's z,
-    /// [0, 0, 1], with a pose, and -y, [0, -1, 0], without. The robot does not leave the ground.
+    /// Up direction, as a vector in the world where the frames carry a pose, else in the camera's frame; none: the world's z, [0,
+    /// 0, 1], with a pose, and -y, [0, -1, 0], without. The robot does not leave the ground.
     pub up: Option<[f64; 3]>,
 }
 
@@ -56,17 +56,17 @@ impl Default for FollowerConfig {
 pub struct Follower {
     config: FollowerConfig,
     followed: Option<u64>,
-    /// How each camera was turned last, `world_from_camera`.
+    /// Last known rotation of each camera, `world_from_camera`.
     rotations: BTreeMap<Text<32>, Matrix3<f64>>,
 }
 
 impl Follower {
-    /// A follower that has seen nothing.
+    /// Creates a follower that has seen nothing.
     pub fn new(config: FollowerConfig) -> Self {
         Self { config, followed: None, rotations: BTreeMap::new() }
     }
 
-    /// The velocity towards the track that is followed, if there is one.
+    /// Returns the velocity towards the followed track, if there is one.
     pub fn command(&mut self, header: &Header, tracks: &[Track]) -> Option<Velocity> {
         let up = self.up_in_camera(header);
         let known = tracks.iter().find(|track| Some(track.id) == self.followed);
@@ -83,7 +83,7 @@ impl Follower {
         sure.min_by(|a, b| distance(a).total_cmp(&distance(b)))
     }
 
-    /// Proportional to what is too much of the distance over ground, along the camera's axes.
+    /// Returns a velocity along the camera's axes, proportional to the distance over ground beyond `stop_distance_m`.
     fn velocity(&self, up: &Vector3<f64>, track: &Track) -> Vector3<f64> {
         let center = Vector3::from(track.object.center);
         let level = center - up * center.dot(up);
@@ -93,7 +93,7 @@ impl Follower {
         level.try_normalize(1e-9).map_or_else(Vector3::zeros, |ahead| ahead * speed)
     }
 
-    /// By the camera's pose; where a frame lacks one it is that of the frame before.
+    /// Returns the up direction in the camera's frame, by the camera's pose or, if the frame has none, the last known one.
     fn up_in_camera(&mut self, header: &Header) -> Vector3<f64> {
         let camera = header.origin();
         if let Some(rows) = header.pose() {
@@ -138,7 +138,7 @@ mod tests {
     use super::*;
     use conicflow_messages::{HAS_POSE, Object};
 
-    /// A camera that looks along the world's y, z up.
+    /// The header of a camera that looks along the world's y, with z up.
     fn header() -> Header {
         let world_from_camera = [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.5]];
         Header { flags: HAS_POSE, world_from_camera, ..Header::default() }
@@ -167,7 +167,7 @@ mod tests {
         assert!((Vector3::from(velocity) - Vector3::z() * 0.8).norm() < 1e-12, "{velocity:?}");
     }
 
-    /// `up` is a vector in the world; of a camera that lies on its side it is another one in its own frame.
+    /// `up` is a vector in the world, and a different one in the frame of a camera that lies on its side.
     #[test]
     fn a_frame_that_lacks_its_pose_has_that_of_the_frame_before() {
         let mut follower = Follower::new(FollowerConfig { up: Some([0.0, 0.0, 1.0]), ..FollowerConfig::default() });

@@ -35,7 +35,7 @@ impl Stage for KalmanTracker {
     }
 }
 
-/// The first identity after a restart, above any that was given before: no frame has more than 65,536 new objects.
+/// Returns the first track identity after a restart. It is above all earlier ones, as no frame has more than 65,536 new objects.
 fn first_id(resume_at: u64) -> u64 {
     (resume_at << 16) + 1
 }

@@ -1,19 +1,20 @@
-//! The graph of a running pipeline for the page: its stages and what joins them, as planned, and what they do, as they tell.
+//! The graph of a running pipeline for the page: its stages and topics as planned, and the rates and counts that the stages
+//! report.
 
 use conicflow_dataflow::{Observation, PipelineActivity, Plan, PlannedStage, RunningPipeline, Runs, Sources, observe};
 use serde_json::{Value as Json, json};
 
-/// Looks at running pipelines again and again.
+/// Observes running pipelines repeatedly.
 #[derive(Default)]
 pub struct GraphWatch {
     before: Option<Observation>,
 }
 
 impl GraphWatch {
-    /// The graph of the first pipeline that is the wanted one, and its sources; none where it does not run, or was not looked at
+    /// Returns the graph and the sources of the first pipeline that `is_wanted`; `None` if it does not run, or was not observed
     /// before.
     pub fn look(&mut self, is_wanted: impl Fn(&PipelineActivity) -> bool) -> Option<(Json, Sources)> {
-        // Who cannot look at the runs' folder sees no graph; whatever else needs the folder tells why.
+        // A user who may not read the runs' folder sees no graph; other code that needs the folder reports the error.
         let now = observe().ok()?;
         let seen = self.before.as_ref().map(|before| now.since(before));
         self.before = Some(now);
@@ -23,7 +24,7 @@ impl GraphWatch {
         Some((graph(&running.plan, &activity), running.sources()))
     }
 
-    /// Nobody looks: the next look is a first one.
+    /// Forgets the last observation, as no browser is connected; the next one is a first one.
     pub fn rest(&mut self) {
         self.before = None;
     }
@@ -33,7 +34,7 @@ fn graph(plan: &Plan, activity: &PipelineActivity) -> Json {
     json!({ "stages": plan.stages.iter().map(stage).collect::<Vec<_>>(), "activity": activity })
 }
 
-/// A stage with the names of the topics that it reads, the driving one first, and writes.
+/// Describes a stage with the names of its input topics, the driving one first, and of its output topics.
 fn stage(stage: &PlannedStage) -> Json {
     let wiring = &stage.wiring;
     let mut inputs: Vec<_> = wiring.inputs().map(|topic| topic.name.as_str()).collect();

@@ -1,4 +1,4 @@
-//! Shows running pipelines on the page, as an onlooker for whom no stage waits: attached while somebody looks, and not else.
+//! Shows running pipelines on the page, as an onlooker for which no stage waits; attached only while a browser is connected.
 
 use super::graph::GraphWatch;
 use super::{list_of, pausing};
@@ -13,19 +13,19 @@ use std::sync::{Arc, Mutex};
 use std::thread::{self, sleep};
 use std::time::{Duration, Instant};
 
-/// How often is looked for pipelines, and whether somebody looks.
+/// Period of the search for pipelines, and of the check whether a browser is connected.
 const PIPELINE_CHECK_PERIOD: Duration = Duration::from_millis(200);
-/// How often the stages are looked at.
+/// Period of the graph's updates.
 const PERIOD: Duration = Duration::from_secs(1);
 
-/// What is to be shown.
+/// The pipeline and depth topic that a browser has asked for.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Wanted {
     pipeline: Option<String>,
     depth_topic: Option<String>,
 }
 
-/// Shows pipelines as they run.
+/// Shows running pipelines.
 pub struct Live {
     display: Arc<Display>,
     wanted: Arc<Mutex<Wanted>>,
@@ -34,10 +34,10 @@ pub struct Live {
 }
 
 impl Live {
-    /// Shows the pipeline of this name, or else the first that runs until another one is asked for.
+    /// Shows the pipeline of this name, or the first one that runs, until another one is asked for.
     ///
     /// # Errors
-    /// No thread can be started.
+    /// A thread cannot be started.
     pub fn start(display: Arc<Display>, pipeline: Option<String>) -> Result<Self> {
         let wanted = Arc::new(Mutex::new(Wanted { pipeline, depth_topic: None }));
         let live = Self { display, wanted, shown: Arc::default() };
@@ -48,10 +48,10 @@ impl Live {
         Ok(live)
     }
 
-    /// Shows what runs until this program is told to end.
+    /// Shows running pipelines until `told` is set.
     ///
     /// # Errors
-    /// The runs cannot be looked for.
+    /// The search for running pipelines fails.
     pub fn show(&self, told: &AtomicBool) -> Result<()> {
         while !told.load(Ordering::Relaxed) {
             let wanted = lock(&self.wanted).clone();
@@ -63,7 +63,7 @@ impl Live {
             *lock(&self.shown) = chosen.as_ref().map(|chosen| chosen.plan.pipeline.clone());
             match chosen {
                 None => self.tell_waiting(wanted.pipeline.as_deref()),
-                // Whoever was away for a moment when the run was paused is to see its next step.
+                // A paused run is shown also without a browser, so that one that comes back sees its next step.
                 Some(chosen) if self.display.is_watched() || chosen.sources().paused => self.attach(&chosen, &wanted),
                 Some(_) => {}
             }
@@ -84,7 +84,7 @@ impl Live {
         });
     }
 
-    /// Shows a pipeline until another one is wanted, nobody looks, or the run is over.
+    /// Shows a pipeline until another one is wanted, no browser is connected, or the run is over.
     fn attach(&self, running: &RunningPipeline, wanted: &Wanted) {
         let view = Topics::of(running, wanted.depth_topic.as_deref());
         let names = view.depths.iter().map(|topic| topic.name.clone()).collect();
@@ -95,7 +95,7 @@ impl Live {
             about.depth_topic = depth_topic;
             about.notice = view.notice();
         });
-        // What stands still costs nothing to look at, and whoever was away for a moment is to see its next step.
+        // A paused run costs nothing to watch, and a browser that comes back is to see its next step.
         let is_watched = || self.display.is_watched() || running.sources().paused;
         let goes_on = || is_watched() && *lock(&self.wanted) == *wanted;
         if let Err(error) = self.watch(running, &view, goes_on) {
@@ -124,13 +124,13 @@ impl Live {
     }
 }
 
-/// The topics of a pipeline that are shown.
+/// The topics of the pipeline on the page.
 struct Topics<'a> {
-    /// All with depth images.
+    /// All topics with depth images.
     depths: Vec<&'a Topic>,
-    /// The one whose images are shown.
+    /// The depth topic that is shown.
     depth: Option<&'a Topic>,
-    /// Those with tracks, or where there are none, with objects.
+    /// The topics with tracks, or where there are none, with objects.
     lists: Vec<&'a Topic>,
 }
 
@@ -163,7 +163,7 @@ impl<'a> Topics<'a> {
     }
 }
 
-/// Takes what browsers wish.
+/// Takes the commands of browsers.
 fn take_wishes(display: &Display, wanted: &Mutex<Wanted>, shown: &Mutex<Option<String>>) {
     loop {
         match display.next_command(PERIOD) {
@@ -180,7 +180,7 @@ fn take_wishes(display: &Display, wanted: &Mutex<Wanted>, shown: &Mutex<Option<S
     }
 }
 
-/// The pipelines that run, by their names, of which the page is told.
+/// Returns the running pipelines, sorted by name, and shows their names on the page.
 fn look_for_pipelines(display: &Display) -> Result<Vec<RunningPipeline>> {
     let mut running = RunningPipeline::all()?;
     running.sort_by(|a, b| a.plan.pipeline.cmp(&b.plan.pipeline));
@@ -189,7 +189,7 @@ fn look_for_pipelines(display: &Display) -> Result<Vec<RunningPipeline>> {
     Ok(running)
 }
 
-/// Tells once a second what runs and what the stages of the pipeline that is shown do, while somebody looks.
+/// Shows the running pipelines and the state of the shown one's stages on the page, once a second while a browser is connected.
 fn show_graph(display: &Display, shown: &Mutex<Option<String>>) {
     let mut watch = GraphWatch::default();
     loop {
@@ -198,7 +198,7 @@ fn show_graph(display: &Display, shown: &Mutex<Option<String>>) {
             watch.rest();
             continue;
         }
-        // An error is told as soon as the run that is shown is over.
+        // `show` reports the error as soon as the shown run is over.
         look_for_pipelines(display).ok();
         let shown = lock(shown).clone();
         if let Some((graph, sources)) = watch.look(|activity| Some(&activity.pipeline) == shown.as_ref()) {

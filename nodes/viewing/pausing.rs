@@ -1,9 +1,9 @@
-//! Pauses the run that a page shows, as a browser wishes: its recorded and simulated sources, and no camera.
+//! Pauses the shown run on a browser's request: its recorded and simulated sources, but no camera.
 
 use conicflow_dataflow::{PauseRequest, RunningPipeline, Sources, WatchError};
 use conicflow_view::{Command, Display, Run};
 
-/// Does what is asked of the pipeline of this name, and tells what follows; other commands are not for a run.
+/// Obeys a command for the pipeline of this name, and shows the result on the page; ignores commands that are not for a run.
 pub fn obey(pipeline: &str, command: &Command, display: &Display) {
     let request = match command {
         Command::Play => PauseRequest::Resume,
@@ -14,13 +14,13 @@ pub fn obey(pipeline: &str, command: &Command, display: &Display) {
     let asked = || RunningPipeline::find(Some(pipeline), "its name")?.pause(request);
     match asked() {
         Ok(sources) => tell(sources, display),
-        // The page shows that it cannot be paused, or is over, before anybody can wish it.
+        // The page shows beforehand that the run cannot be paused, or is over.
         Err(error @ WatchError::Unclear(_)) => tracing::debug!("{error}"),
         Err(error) => tracing::warn!("the run is not paused: {error}"),
     }
 }
 
-/// Tells whether the run that is shown is paused.
+/// Shows on the page whether the run is paused.
 pub fn tell(sources: Sources, display: &Display) {
     let Sources { can_pause, live, paused } = sources;
     let run = Run { can_pause: !can_pause.is_empty(), live, paused };

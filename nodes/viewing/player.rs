@@ -1,7 +1,7 @@
-//! Plays a recording on the page, as its time line says: on, paused, frame by frame, from anywhere, faster or slower.
+//! Plays a recording on the page, under the control of its time line: play, pause, single steps, seek, speed.
 //!
-//! Where the recording has depth images, each is a frame, with what was recorded of the same stamp and number; else each list is.
-//! A second recording of the same frames is shown with it: what both have found, and what only one has.
+//! Where the recording has depth images, each of them is a frame, with the list that has the same stamp and number; else each
+//! list is one. A second recording of the same frames can be shown with it: what both have found, and what only one of them has.
 
 use crate::recording::files::Files;
 use crate::sources::WrittenIn;
@@ -17,40 +17,40 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// How often is looked whether the program is to end, and whether somebody looks.
+/// Period of the checks whether the program is to end, and whether a browser is connected.
 const END_CHECK_PERIOD: Duration = Duration::from_millis(100);
-/// A frame that is later than this does not make those behind it hurry.
+/// A frame that is later than this does not make the following ones hurry: the clock starts anew.
 const LATE: Duration = Duration::from_millis(250);
-/// So far back is looked for the frame before, at first.
+/// First distance in time in the search for the previous frame.
 const BACK_NS: u64 = 100_000_000;
-/// The slowest and the fastest that a recording is played.
+/// The slowest and the fastest playback speed.
 const SPEEDS: (f64, f64) = (0.01, 100.0);
-/// Lists of a frame are looked for among so many that come after it, at most.
+/// Largest number of lists that are read ahead in search of the list of a frame.
 const MOST_LISTS: usize = 64;
 
-/// A recording and where it is.
+/// A recording and the playback position in it.
 pub struct Player {
     display: Arc<Display>,
-    /// What sets the pace: the depth images, or where there are none, the lists.
+    /// Sets the pace: the depth images, or where there are none, the lists.
     frames: Replay,
     /// The lists beside the depth images.
     lists: Option<Lists>,
-    /// Those of a second recording of the same frames.
+    /// The lists of a second recording of the same frames.
     other: Option<Lists>,
     begin_ns: u64,
     end_ns: u64,
-    /// When the frame that is shown was written.
+    /// When the frame on the page was written.
     at_ns: u64,
     next: Option<Replayed>,
-    /// Whether what comes next could not be read.
+    /// Whether the next message could not be read.
     is_cut_off: bool,
-    /// What is to be said of the recording while it can be read.
+    /// The notice on the page while the recording can be read.
     notice: Option<String>,
     plays: bool,
     speed: f64,
-    /// So many steps are still to be made; back, where it is negative.
+    /// Number of steps that are still to be made; negative: backwards.
     steps: i32,
-    /// When a frame of which time was, or is to be, shown.
+    /// The instant at which a frame was shown, or is to be shown, and the time at which that frame was written.
     anchor: Option<(Instant, u64)>,
 }
 
@@ -58,30 +58,30 @@ fn built_in<T: Item>() -> Result<&'static ItemType> {
     BUILT_IN.iter().find(|item| item.name() == T::NAME).with_context(|| format!("no item type `{}`", T::NAME))
 }
 
-/// What was found, list by list.
+/// The lists of found objects or tracks.
 struct Lists {
     replay: Replay,
-    /// What tells whether a list is of a frame.
+    /// The key by which a list is matched with a frame.
     key: fn(&Header) -> Key,
-    /// Lists that were read, for this frame and those that follow.
+    /// Lists that were read ahead, for this frame and later ones.
     read: VecDeque<Replayed>,
 }
 
-/// Stamp, start of the source and number of a frame.
+/// Stamp, epoch of the source, and sequence number of a frame.
 type Key = (u64, u64, u64);
 
-/// Within a recording.
+/// The key within one recording.
 fn key(header: &Header) -> Key {
     (header.stamp_ns, header.epoch, header.sequence)
 }
 
-/// From recording to recording: the same frame was sent by another start of its source.
+/// The key across recordings: each run of the source has its own epoch.
 fn key_elsewhere(header: &Header) -> Key {
     (header.stamp_ns, 0, header.sequence)
 }
 
 impl Lists {
-    /// The tracks of a recording, or where there are none, the objects; none where there are neither.
+    /// Opens the tracks of a recording, or if it has none, its objects; `None` if it has neither.
     fn open(path: &Path, key: fn(&Header) -> Key) -> Result<Option<Self>> {
         let channels = Files::find(path)?.survey()?;
         let kind = [built_in::<Track>()?, built_in::<Object>()?].into_iter().find(|item| has_own(&channels, item));
@@ -95,7 +95,7 @@ impl Lists {
         self.replay.seek(from_ns);
     }
 
-    /// What was found in a frame, where that was recorded; lists of frames before it are passed over.
+    /// Returns the list of a frame, if it was recorded; skips the lists of earlier frames.
     fn of(&mut self, frame: &Header) -> Result<Option<Replayed>> {
         let key = |replayed: &Replayed| (self.key)(&replayed.header);
         let wanted = (self.key)(frame);
@@ -117,11 +117,11 @@ impl Lists {
 }
 
 impl Player {
-    /// Opens a recording, with the depth images of `topic` where it has several, and shows its first frame; with it what was
-    /// found in the same frames in the recording `against`.
+    /// Opens a recording, with the depth images of `topic` where it has several, and shows its first frame, together with the
+    /// list of the same frame in the recording `against`.
     ///
     /// # Errors
-    /// There is none, or it has neither depth images nor objects nor tracks, or `against` has neither of the latter.
+    /// There is no recording, it has neither depth images nor objects nor tracks, or `against` has neither objects nor tracks.
     pub fn open(path: &Path, topic: Option<&str>, against: Option<&Path>, display: Arc<Display>) -> Result<Self> {
         let (file, topic_name, written_in) = (Some(path.to_owned()), topic.map(str::to_owned), WrittenIn::CommandLine);
         let config = Config { path: file, topic: topic_name, written_in, ..Config::default() };
@@ -167,7 +167,7 @@ impl Player {
         Ok(player)
     }
 
-    /// Plays until this program is told to end. A place that cannot be read is told on the page, which pauses there.
+    /// Plays until `told` is set. Where a frame cannot be read, the page shows the error and playback pauses.
     pub fn play(&mut self, told: &AtomicBool) {
         while !told.load(Ordering::Relaxed) {
             if let Err(error) = self.play_on() {
@@ -176,7 +176,7 @@ impl Player {
         }
     }
 
-    /// Pauses where the recording cannot be read, which is told until it can be.
+    /// Pauses where the recording cannot be read; the error stays on the page until it can be read again.
     fn stop_at(&mut self, error: &Error) {
         tracing::warn!("{error:#}");
         self.display.tell(|about| about.notice = Some(format!("{error:#}")));
@@ -184,7 +184,7 @@ impl Player {
         self.tell();
     }
 
-    /// Does what comes next: what somebody wants, or a step, or the next frame, or a while of nothing.
+    /// Obeys the next command, makes a step, shows the next frame if it is due, or waits for a while.
     fn play_on(&mut self) -> Result<()> {
         let due = self.due();
         let left =
@@ -200,7 +200,7 @@ impl Player {
         Ok(())
     }
 
-    /// When the next frame is to be shown; never while the recording is paused, or nobody looks.
+    /// Returns when the next frame is due; `None` while playback is paused or no browser is connected.
     fn due(&mut self) -> Option<Instant> {
         if !self.plays || !self.display.is_watched() {
             self.anchor = None;
@@ -244,13 +244,13 @@ impl Player {
         Ok(())
     }
 
-    /// Shows the next frame; false where there is none. One that could not be read is looked for once more.
+    /// Shows the next frame; false at the end of the recording. A frame that could not be read is tried once more.
     fn advance(&mut self) -> Result<bool> {
         if self.is_cut_off {
             self.seek(self.at_ns.saturating_add(1))?;
         }
         let Some(frame) = self.next.take() else { return Ok(false) };
-        // It is shown also where the one behind it cannot be read, which is read also where this one cannot be shown.
+        // This frame is shown even if the next one cannot be read, and the next one is read even if this one cannot be shown.
         let shown = self.show(frame);
         self.read_next()?;
         shown.map(|()| true)
@@ -263,8 +263,8 @@ impl Player {
         Ok(())
     }
 
-    /// Makes one of the steps that are still to be made, so that another command waits for one at most. They stop at the ends of
-    /// the recording.
+    /// Makes one of the pending steps, so that another command waits for one step at most. The steps stop at the ends of the
+    /// recording.
     fn step(&mut self) -> Result<()> {
         let left = std::mem::take(&mut self.steps);
         let is_there = if left > 0 { self.advance()? } else { self.go_back()? };
@@ -274,7 +274,7 @@ impl Player {
         Ok(())
     }
 
-    /// Shows the first frame that was written at `at_ns` or later, or the last of all.
+    /// Shows the first frame that was written at `at_ns` or later, or else the last one.
     fn go_to(&mut self, at_ns: u64) -> Result<()> {
         self.seek(at_ns)?;
         if !self.advance()? {
@@ -284,8 +284,8 @@ impl Player {
         Ok(())
     }
 
-    /// Shows the frame before the one that is shown: looks for it ever farther back. False where there is none; the first is
-    /// shown then.
+    /// Shows the previous frame, which is searched for farther and farther back. If there is none, shows the first frame and
+    /// returns false.
     fn go_back(&mut self) -> Result<bool> {
         let (at_ns, mut back_ns) = (self.at_ns, BACK_NS);
         loop {
@@ -334,7 +334,7 @@ impl Player {
         {
             frame.compared = Some(compare(&frame.list, list(other.replay.item(), &replayed)));
         }
-        // Where it is goes with the frame.
+        // The position goes to the page together with the frame.
         self.tell();
         self.display.tell(|about| about.notice.clone_from(&self.notice));
         self.display.show(frame);
@@ -348,7 +348,7 @@ impl Player {
     }
 }
 
-/// How a file is called.
+/// The file name of a path.
 fn name_of(path: &Path) -> String {
     path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
 }
@@ -358,7 +358,7 @@ fn no_lists(path: &Path) -> Error {
     Hinted::new(what, "`conicflow compare --record FOLDER` writes two recordings that can be compared").into()
 }
 
-/// What another recording has of the same frame, matched with what this one has.
+/// Matches the list of the second recording with that of the first for the same frame.
 fn compare(own: &List, other: List) -> Compared {
     let (a, b) = (own.objects(), other.objects());
     let pair = |(first, second): (usize, usize)| {
@@ -369,7 +369,7 @@ fn compare(own: &List, other: List) -> Compared {
     Compared { list: other, pairs }
 }
 
-/// What a message of a list says was found.
+/// Returns the items of a message as a list of tracks or objects.
 fn list(item: &ItemType, message: &Replayed) -> List {
     if item.name() == Track::NAME { List::Tracks(message.items_as()) } else { List::Objects(message.items_as()) }
 }
@@ -385,7 +385,7 @@ mod tests {
 
     const SPACING_NS: u64 = 30_000_000;
 
-    /// A recording of these frames, without depth images.
+    /// Writes a recording of these frames, without depth images.
     fn record(path: &Path, sequences: Range<u64>) {
         let recorder = Recorder::create(path, Limits::default(), 0, false).unwrap();
         for sequence in sequences {
@@ -404,7 +404,7 @@ mod tests {
         let path = folder.path().join("run.mcap");
         record(&path, 0..9);
         let mut player = Player::open(&path, None, None, Arc::default()).unwrap();
-        // At its beginning no step back is lost: the next one on shows the second frame.
+        // At the beginning no step back is kept for later: the next step forward shows the second frame.
         for (by, frame) in
             [(0, 0), (-1, 0), (1, 1), (3, 4), (-2, 2), (i32::MIN, 0), (-1_000_000, 0), (1, 1), (i32::MAX, 8)]
         {
@@ -433,7 +433,7 @@ mod tests {
         };
         fs::rename(&second, &away).unwrap();
         assert!(player.advance().unwrap());
-        // Again and again, and not from the beginning.
+        // Repeatedly, and without going back to the beginning.
         for _ in 0..3 {
             player.obey(&Command::Play).unwrap();
             let error = player.advance().unwrap_err();

@@ -1,6 +1,6 @@
-//! The axes of a plot: round numbers to label, and where a number lies on the paper.
+//! The axes of a plot: round numbers as labels, and positions of numbers on the paper.
 
-/// One axis: numbers from `least` to `most` on a stretch of the paper.
+/// One axis: numbers from `least` to `most`, drawn from `start` to `end` on the paper.
 #[derive(Clone, Debug)]
 pub struct Axis {
     least: f64,
@@ -11,7 +11,7 @@ pub struct Axis {
 }
 
 impl Axis {
-    /// An axis that holds all `numbers`, from `start` to `end` on the paper; `None` where there are none.
+    /// Creates an axis for all `numbers`, from `start` to `end` on the paper; `None` if there are none.
     pub fn holding(numbers: impl Iterator<Item = f64>, [start, end]: [f64; 2], logarithmic: bool) -> Option<Self> {
         let scale = |number: f64| if logarithmic { number.log10() } else { number };
         let numbers = numbers.map(scale).filter(|number| number.is_finite());
@@ -20,14 +20,14 @@ impl Axis {
         (least <= most).then_some(Self { least: least - margin, most: most + margin, start, end, logarithmic })
     }
 
-    /// Where a number lies on the paper; `None` for what a logarithm does not have.
+    /// Returns the position of a number on the paper; `None` if it has no logarithm on a logarithmic axis.
     pub fn place(&self, number: f64) -> Option<f64> {
         let number = if self.logarithmic { number.log10() } else { number };
         let share = (number - self.least) / (self.most - self.least);
         share.is_finite().then_some(self.start + share * (self.end - self.start))
     }
 
-    /// Round numbers along the axis with their labels, about six of them.
+    /// Returns about six round numbers along the axis, with their labels.
     pub fn ticks(&self) -> Vec<(f64, String)> {
         let raw = (self.most - self.least) / 6.0;
         let power = 10_f64.powf(raw.log10().floor());

@@ -1,4 +1,4 @@
-//! What a pipeline file says under `[experiment]`, and what follows from it: the combinations of what is varied.
+//! The table `[experiment]` of a pipeline file, and the combinations of values that it varies.
 
 use super::output_file;
 use crate::score::trace::TITLES;
@@ -14,29 +14,29 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Experiment {
-    /// What stands above the table; above the plot as far as the first semicolon.
+    /// Title of the table; that of the plot ends at the first semicolon.
     pub title: String,
-    /// The columns that are shown, behind those that tell the rows apart.
+    /// The columns that are shown, after those that identify a row.
     pub columns: Vec<String>,
     /// The true objects whose rows are shown; none: all.
     pub objects: Vec<String>,
-    /// What is varied, the first the slowest.
+    /// The varied parameters; the first one changes slowest.
     pub vary: Vec<Vary>,
-    /// What the paper measured.
+    /// The figures that the paper reports.
     pub paper: Option<Reference>,
     /// File for all columns of all rows.
     pub csv: Option<PathBuf>,
-    /// What is drawn.
+    /// The plot to draw.
     pub plot: Option<Plot>,
-    /// The exponents of columns as powers of another one.
+    /// The exponents of power laws between columns.
     pub exponent: Option<Exponent>,
-    /// Columns whose least, median and greatest figures are shown below the table.
+    /// Columns whose least, median and greatest figures are printed below the table.
     pub spread: Option<Grouping>,
-    /// Columns whose sums are shown below that: a table for each entry.
+    /// Columns whose sums are printed below that: a table for each entry.
     pub sums: Vec<Grouping>,
 }
 
-/// Something that is varied: one parameter, or several at a time.
+/// A variation of one parameter, or of several together.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Vary {
@@ -46,15 +46,15 @@ pub struct Vary {
     pub set: Vec<String>,
     /// The values, one for each run.
     pub values: Vec<Json>,
-    /// In place of both: what is set, case by case.
+    /// Instead of `set` and `values`: the parameters of each case.
     pub cases: Vec<Case>,
 }
 
-/// One case of several parameters.
+/// One case of a variation of several parameters.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Case {
-    /// What stands in the table.
+    /// Its name in the table.
     pub name: Figure,
     /// Values by `STAGE.KEY`.
     #[serde(default)]
@@ -65,9 +65,9 @@ pub struct Case {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Reference {
-    /// Columns by which its rows are found.
+    /// Columns by which its rows are matched.
     pub r#match: Vec<String>,
-    /// Columns that it has figures for.
+    /// Columns for which it has figures.
     pub columns: Vec<String>,
     /// The cells of `match`, then those of `columns`.
     pub rows: Vec<Vec<Figure>>,
@@ -81,18 +81,18 @@ pub struct Plot {
     pub path: PathBuf,
     /// Column along x.
     pub x: String,
-    /// What stands below it; default: what the column is called, with the unit that its name ends with.
+    /// Label of the x axis; default: the column's name, with the unit at its end.
     #[serde(default)]
     pub x_label: Option<String>,
-    /// Columns along y: one line for each.
+    /// Columns along y, one line each.
     pub y: Vec<String>,
-    /// Columns that tell lines apart.
+    /// Columns that identify a line.
     #[serde(default)]
     pub lines: Vec<String>,
-    /// The rows that are drawn: those with these cells.
+    /// Cells that a row must have to be drawn.
     #[serde(default)]
     pub only: BTreeMap<String, Figure>,
-    /// A trace file of the last run that is drawn in place of the table.
+    /// A trace file of the last run, which is drawn instead of the table.
     #[serde(default)]
     pub trace: Option<PathBuf>,
     /// Whether both axes are logarithmic.
@@ -100,40 +100,40 @@ pub struct Plot {
     pub logarithmic: bool,
 }
 
-/// A power law to be fitted.
+/// A power law to fit.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Exponent {
-    /// The column that is raised to a power.
+    /// The column x.
     pub x: String,
-    /// The columns that follow it.
+    /// The columns y, each with its own exponent of x.
     pub y: Vec<String>,
 }
 
-/// What a further table sums up: columns, over all rows that are alike in another.
+/// A further table: statistics of columns, for the rows that agree in another column.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Grouping {
-    /// The column that tells the groups of rows apart.
+    /// The column whose cells form the groups.
     pub by: String,
-    /// The columns.
+    /// The columns of the statistics.
     pub columns: Vec<String>,
 }
 
-/// One combination of what is varied.
+/// One combination of the varied values.
 #[derive(Clone, Debug, Default)]
 pub struct Variation {
-    /// What stands in the table.
+    /// Its cells in the table.
     pub names: Vec<(String, Figure)>,
-    /// `STAGE.KEY=VALUE`.
+    /// Its parameters as `STAGE.KEY=VALUE`.
     pub overrides: Vec<String>,
 }
 
 impl Experiment {
-    /// Reads what a pipeline file says.
+    /// Reads the table of a pipeline file.
     ///
     /// # Errors
-    /// What is wrong with it.
+    /// The table is not valid; the error says what is wrong.
     pub fn read(json: &Json) -> Result<Self> {
         let experiment: Self = serde_json::from_value(json.clone()).map_err(|error| {
             let what = format!("`[experiment]` cannot be read: {error}");
@@ -164,7 +164,7 @@ impl Experiment {
         Ok(experiment)
     }
 
-    /// Refuses a column, or a parameter, of which two entries of `vary` would have one thing each.
+    /// Refuses column names and parameters that occur in two entries of `vary`.
     fn check_varied(&self) -> Result<()> {
         let mut names = BTreeSet::new();
         if let Some(twice) = self.vary.iter().find(|vary| !names.insert(&vary.name)) {
@@ -188,19 +188,19 @@ impl Experiment {
         Ok(())
     }
 
-    /// Makes sure that the files of the results can be written, before anything is measured.
+    /// Checks that the files of the results can be written, before anything is measured.
     ///
     /// # Errors
-    /// One cannot.
+    /// A file cannot be written.
     pub fn check_files(&self, base: &Path) -> Result<()> {
         let files = self.csv.iter().chain(self.plot.as_ref().map(|plot| &plot.path));
         files.into_iter().try_for_each(|path| output_file::check(base, path))
     }
 
-    /// Refuses columns that no row will have, those that are not `known`.
+    /// Refuses columns that are not `known`, as no row will have them.
     ///
     /// # Errors
-    /// The key that names such a column, with those that there are.
+    /// The error names the key with such a column, and the known columns.
     pub fn check_columns(&self, known: &[String]) -> Result<()> {
         let mut wanted: Vec<(&str, Vec<&String>)> = vec![("columns", self.columns.iter().collect())];
         if let Some(paper) = &self.paper {
@@ -226,10 +226,10 @@ impl Experiment {
         look(&[("plot.only", plot.only.keys().collect())], known)
     }
 
-    /// All combinations of what is varied; one without anything where nothing is.
+    /// Returns all combinations of the varied values; a single empty one if nothing varies.
     ///
     /// # Errors
-    /// A value that cannot stand in a pipeline file.
+    /// A value cannot be written in a pipeline file.
     pub fn variations(&self) -> Result<Vec<Variation>> {
         let mut variations = vec![Variation::default()];
         for vary in &self.vary {
@@ -264,7 +264,7 @@ impl Vary {
             Ok((name, set.collect::<Result<_>>()?))
         });
         let of_cases = self.cases.iter().map(|case| {
-            // another node forgets the parameters of the one before, so it has to come first
+            // a change of the node drops the parameters before it, so it has to come first
             let (nodes, others): (Vec<_>, Vec<_>) = case.set.iter().partition(|(key, _)| key.ends_with(".node"));
             let set = nodes.into_iter().chain(others).map(|(key, value)| assignment(key, value));
             Ok((case.name.clone(), set.collect::<Result<_>>()?))
@@ -288,7 +288,7 @@ impl Variation {
 }
 
 impl Reference {
-    /// The figure of a column that goes with a row, if there is one.
+    /// Returns the reference figure for a row and column, if there is one.
     pub fn figure(&self, row: &Row, column: &str) -> Option<&Figure> {
         let index = self.r#match.len() + self.columns.iter().position(|known| known == column)?;
         let goes_with = |cells: &&Vec<Figure>| {

@@ -1,6 +1,6 @@
-//! Experiments: what a pipeline file says under `[experiment]`. The pipeline is run once for each combination of the values
-//! that it varies, and what its measuring stages found becomes one table beside the figures of the paper, a CSV file and a
-//! plot ([`Results`]).
+//! Experiments, as described by the table `[experiment]` of a pipeline file. The pipeline runs once for each combination of the
+//! varied values. The rows of its measuring stages become one table beside the figures of the paper, a CSV file and a plot
+//! ([`Results`]).
 //!
 //! ```toml
 //! [experiment]

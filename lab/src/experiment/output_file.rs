@@ -1,4 +1,4 @@
-//! The files of the results, by paths of the pipeline file; folders are made where they are missing.
+//! The files of the results, with paths as in the pipeline file; missing folders are created.
 
 use anyhow::Result;
 use conicflow_messages::Hinted;
@@ -6,7 +6,7 @@ use std::fs::{self, OpenOptions};
 use std::io;
 use std::path::Path;
 
-/// Makes sure that a file can be written, before hours are spent on what is to stand there; leaves it as it is.
+/// Checks that a file can be written, before hours are spent on its content; leaves it unchanged.
 pub(super) fn check(base: &Path, path: &Path) -> Result<()> {
     let path = base.join(path);
     let is_new = !path.exists();

@@ -1,5 +1,5 @@
-//! Plots as SVG: lines of the rows of an experiment, or of a trace, with bars of one standard deviation where there is a column
-//! of them, the truth as a black line in front, and the paper's figures as open circles.
+//! Plots as SVG: lines of an experiment's rows or of a trace. Columns with a standard deviation get bars, the truth is a black
+//! line in front, and the paper's figures are open circles.
 
 use super::axes::Axis;
 use super::definition::{Experiment, Plot};
@@ -16,47 +16,47 @@ const LEFT: f64 = 80.0;
 const RIGHT: f64 = 760.0;
 const TOP: f64 = 40.0;
 const BOTTOM: f64 = 410.0;
-/// Where the legend begins, below the axes.
+/// Position where the legend begins, below the axes.
 const LEGEND: f64 = BOTTOM + 62.0;
-/// Height of a line of the legend, and the width of its letters, at the least what they take; and of what stands before them.
+/// Height of a line of the legend, an upper estimate of a letter's width, and the width of the mark before the text.
 const LEGEND_STEP: f64 = 18.0;
 const LETTER: f64 = 7.0;
 const MARK: f64 = 32.0;
-/// So far from each other are the dots that belong to the same place, where they have bars.
+/// Distance between dots at the same position, if they have bars.
 const ASIDE: f64 = 9.0;
-/// The column of a trace with the time.
+/// The column with the time in a trace.
 const TIME: &str = "time_s";
-/// The ends of columns' names, and the units that they stand for.
+/// Endings of columns' names, and their units.
 const UNITS: [(&str, &str); 6] =
     [("_mps", "m/s"), ("_ms", "ms"), ("_deg", "degrees"), ("_hz", "Hz"), ("_m", "m"), ("_s", "s")];
-/// Told apart by most eyes that do not see all colours (Okabe and Ito 2008).
+/// Colours that most colour-blind people can distinguish (Okabe and Ito 2008).
 const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000"];
 
-/// Points of one colour.
+/// A line or series of points in one colour.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Line {
-    /// What the legend calls it; where that is empty, it does not.
+    /// Its name in the legend; an empty one is left out.
     name: String,
-    /// One that is not a number parts those before it from those behind it.
+    /// A point that is NaN interrupts the line.
     points: Vec<[f64; 2]>,
-    /// The standard deviations of the points, 0 where none is known.
+    /// Standard deviations of the points; 0 if unknown.
     deviations: Vec<f64>,
     style: Style,
 }
 
-/// How points are drawn.
+/// The style of a line.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Style {
-    /// Joined dots, with bars.
+    /// Connected dots, with bars.
     #[default]
     Measured,
-    /// Open circles that are not joined.
+    /// Open circles that are not connected.
     Paper,
     /// A black line in front.
     Truth,
 }
 
-/// Draws what an experiment asks for.
+/// Draws the plot of an experiment.
 ///
 /// # Errors
 /// A file cannot be read or written.
@@ -69,7 +69,7 @@ pub fn draw(experiment: &Experiment, rows: &[Row], base: &Path) -> Result<()> {
             [lines(plot, &rows), paper_lines(experiment, plot, &rows)].concat()
         }
     };
-    // What the paper says of it stands behind, and has no room here.
+    // The description after the semicolon has no room here.
     let title = experiment.title.split(';').next().unwrap_or_default();
     let text = svg(title, plot, &lines).unwrap_or_default();
     output_file::write(base, &plot.path, text)
@@ -93,7 +93,7 @@ fn lines(plot: &Plot, rows: &[Row]) -> Vec<Line> {
         line.name = line.name.split(", ").next().unwrap_or_default().to_owned();
         line.deviations.clear();
         line.points.dedup();
-        // What is true of several lines is drawn once, and told once of all that look the same.
+        // The same truth of several lines is drawn once, and truths of the same name have one entry in the legend.
         if known.iter().all(|other| other.points != line.points) {
             if known.iter().any(|other| other.name == line.name) {
                 line.name.clear();
@@ -105,7 +105,7 @@ fn lines(plot: &Plot, rows: &[Row]) -> Vec<Line> {
     lines
 }
 
-/// The paper's figures, once for each place that one has.
+/// Returns the paper's figures as circles, one for each position that has one.
 fn paper_lines(experiment: &Experiment, plot: &Plot, rows: &[Row]) -> Vec<Line> {
     let Some(paper) = &experiment.paper else { return Vec::new() };
     let told_apart = plot.lines.iter().filter(|column| paper.r#match.contains(column)).cloned().collect();
@@ -127,7 +127,7 @@ fn gather(plot: &Plot, rows: &[Row], prefix: &str, number: &dyn Fn(&Row, &str) -
     let step_s = step_s(rows);
     for column in &plot.y {
         let deviations = beside(column, "sd");
-        // Where something truly was is known also while nobody saw it.
+        // The true position is known also while the object is not seen.
         let true_x = beside(&plot.x, "true").filter(|_| is_true(column));
         let mut times: BTreeMap<String, f64> = BTreeMap::new();
         for row in rows {
@@ -149,13 +149,13 @@ fn gather(plot: &Plot, rows: &[Row], prefix: &str, number: &dyn Fn(&Row, &str) -
     lines.into_values().collect()
 }
 
-/// The time between frames of a trace, where nothing is left out.
+/// Returns the time between consecutive frames of a trace.
 fn step_s(rows: &[Row]) -> Option<f64> {
     let times = || rows.iter().filter_map(|row| row.number_of(TIME));
     times().zip(times().skip(1)).map(|(before, after)| after - before).filter(|step| *step > 0.0).reduce(f64::min)
 }
 
-/// What a column is called and its unit, if its name ends with one.
+/// Returns a column's name in words and its unit, if its name ends with one.
 fn quantity(column: &str) -> (String, Option<&'static str>) {
     let end = UNITS.iter().find_map(|(end, unit)| Some((column.strip_suffix(end)?, *unit)));
     let (words, unit) = end.map_or((column, None), |(words, unit)| (words, Some(unit)));
@@ -163,18 +163,18 @@ fn quantity(column: &str) -> (String, Option<&'static str>) {
     (name.replace('_', " "), unit)
 }
 
-/// The column with the truth (`true`) or the standard deviation (`sd`) of another, as this program calls them.
+/// Returns the column with the truth (`true`) or the standard deviation (`sd`) of another, by this program's naming.
 fn beside(column: &str, word: &str) -> Option<String> {
     let (words, end) = UNITS.iter().find_map(|(end, _)| Some((column.strip_suffix(end)?, end)))?;
     (!is_true(column)).then(|| format!("{words}_{word}{end}"))
 }
 
-/// Whether a column holds what is true.
+/// Whether a column contains the truth.
 fn is_true(column: &str) -> bool {
     quantity(column).0.starts_with("true ")
 }
 
-/// What stands beside an axis with these columns: each quantity once, measured or true, and the units.
+/// Returns the label of an axis with these columns: each quantity once, measured or true, with its unit.
 fn axis_label(columns: &[String]) -> String {
     let label = |column: &String| {
         let (name, unit) = quantity(column);
@@ -195,7 +195,7 @@ fn name(plot: &Plot, row: &Row, column: &str) -> String {
     column.into_iter().chain(told).collect::<Vec<_>>().join(", ")
 }
 
-/// A CSV file, as the sinks write it.
+/// Reads a CSV file as the sinks write it.
 fn read_csv(path: &Path) -> Result<Vec<Row>> {
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read `{}`", path.display()))?;
     let mut records = csv::Reader::from_reader(text.as_bytes());
@@ -236,7 +236,7 @@ fn svg(title: &str, plot: &Plot, lines: &[Line]) -> Result<String, fmt::Error> {
             let (column, row) = ((told % columns) as f64, (told / columns) as f64);
             let mark = [LEFT + 10.0 + column * legend_width(lines), LEGEND + LEGEND_STEP * row];
             told += usize::from(!line.name.is_empty());
-            // Bars at the same place would hide each other.
+            // Bars at the same position would hide each other.
             let has_bars = line.bars().next().is_some();
             draw_line(&mut text, line, index, mark, [&x, &y], if has_bars { aside } else { 0.0 })?;
             aside += if has_bars { ASIDE } else { 0.0 };
@@ -246,18 +246,18 @@ fn svg(title: &str, plot: &Plot, lines: &[Line]) -> Result<String, fmt::Error> {
     Ok(text)
 }
 
-/// Width of a name of the legend with its mark.
+/// Returns the width of a legend's entry with its mark.
 fn legend_width(lines: &[Line]) -> f64 {
     let longest = lines.iter().map(|line| line.name.chars().count()).max().unwrap_or(0);
     MARK + LETTER * longest as f64
 }
 
-/// How many names stand beside each other.
+/// Returns the number of legend entries side by side.
 fn legend_columns(lines: &[Line]) -> usize {
     (((RIGHT - LEFT) / legend_width(lines)) as usize).max(1)
 }
 
-/// Width and height of a drawing that has room for its legend, below the axes.
+/// Returns width and height of a drawing with room for its legend below the axes.
 fn paper_size(lines: &[Line]) -> [f64; 2] {
     let told = lines.iter().filter(|line| !line.name.is_empty()).count();
     let rows = told.div_ceil(legend_columns(lines)) as f64;
@@ -289,14 +289,14 @@ fn frame(text: &mut String, plot: &Plot, x: &Axis, y: &Axis) -> fmt::Result {
 }
 
 impl Line {
-    /// Where there are bars: x, and their lower and upper ends.
+    /// Returns the bars: x, lower end and upper end.
     fn bars(&self) -> impl Iterator<Item = [f64; 3]> {
         let known = self.points.iter().zip(&self.deviations).filter(|(_, deviation)| **deviation > 0.0);
         known.map(|([x, y], deviation)| [*x, y - deviation, y + deviation])
     }
 }
 
-/// Draws a line, so far to the right of its place, and its mark and name in the legend.
+/// Draws a line, shifted to the right by `aside`, and its entry in the legend.
 fn draw_line(
     text: &mut String,
     line: &Line,

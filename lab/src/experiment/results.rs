@@ -1,4 +1,4 @@
-//! The rows of all runs: as a table for people, as CSV, as a plot, and their power laws.
+//! The rows of all runs: as a table, as CSV, as a plot, and their power laws.
 
 use super::definition::{Experiment, Exponent, Grouping};
 use super::{output_file, plot};
@@ -11,19 +11,19 @@ use std::fmt::Write;
 use std::ops::Add as _;
 use std::path::Path;
 
-/// What an experiment has measured so far.
+/// The results of an experiment so far.
 pub struct Results<'a> {
     experiment: &'a Experiment,
     rows: Vec<Row>,
 }
 
 impl<'a> Results<'a> {
-    /// Nothing measured yet.
+    /// Creates empty results.
     pub fn new(experiment: &'a Experiment) -> Self {
         Self { experiment, rows: Vec::new() }
     }
 
-    /// Adds the rows of a run, as far as they are asked for.
+    /// Adds the rows of a run about the wanted objects.
     pub fn add(&mut self, rows: Vec<Row>) {
         let wanted = &self.experiment.objects;
         let is_wanted = |row: &Row| match row.get("object") {
@@ -33,14 +33,14 @@ impl<'a> Results<'a> {
         self.rows.extend(rows.into_iter().filter(is_wanted));
     }
 
-    /// The columns that tell rows apart: what is varied, and stage and object where there are several.
+    /// Returns the columns that identify a row: the varied ones, and stage and object if there are several.
     fn keys(&self) -> Vec<&str> {
         let several = |column: &&str| self.rows.iter().any(|row| row.get(column) != self.rows[0].get(column));
         let varied = self.experiment.vary.iter().map(|vary| vary.name.as_str());
         varied.chain(["stage", "object"].into_iter().filter(several)).collect()
     }
 
-    /// The titles and the rows of the table that is printed, with the paper's figures beside those that it has.
+    /// Returns titles and rows of the printed table, with the paper's figures beside their columns.
     pub fn table(&self) -> (Vec<String>, Vec<Vec<String>>) {
         let paper = self.experiment.paper.as_ref();
         let mut titles: Vec<String> = self.keys().iter().map(|&key| key.to_owned()).collect();
@@ -61,8 +61,8 @@ impl<'a> Results<'a> {
         (titles, rows)
     }
 
-    /// The titles and the rows of the table of least, median and greatest figures, where one is asked for; rows without a
-    /// figure do not count.
+    /// Returns titles and rows of the table of least, median and greatest figures, if the experiment has one; leaves out rows
+    /// without a figure.
     pub fn spread(&self) -> Option<(Vec<String>, Vec<Vec<String>>)> {
         let Grouping { by, columns } = self.experiment.spread.as_ref()?;
         let titles = [by, "of all rows"].map(str::to_owned).into_iter().chain(columns.iter().cloned()).collect();
@@ -75,8 +75,7 @@ impl<'a> Results<'a> {
         Some((titles, rows.collect()))
     }
 
-    /// The titles and the rows of the tables of sums that are asked for, in each the sums of all rows last; rows without a figure
-    /// do not count.
+    /// Returns titles and rows of the tables of sums; the last row of each is the sum of all. Leaves out rows without a figure.
     pub fn sums(&self) -> impl Iterator<Item = (Vec<String>, Vec<Vec<String>>)> {
         self.experiment.sums.iter().map(|Grouping { by, columns }| {
             let titles = std::iter::once(by).chain(columns).cloned().collect();
@@ -89,7 +88,7 @@ impl<'a> Results<'a> {
         })
     }
 
-    /// The rows that are alike in a column, by what stands there, in the order of the first of each group.
+    /// Returns the rows grouped by their cell in a column, in the order of each group's first row.
     fn groups(&self, by: &str) -> IndexMap<String, Vec<&Row>> {
         let mut groups: IndexMap<_, Vec<_>> = IndexMap::new();
         for row in &self.rows {
@@ -100,7 +99,7 @@ impl<'a> Results<'a> {
         groups
     }
 
-    /// One line for each power law: `y ~ x^exponent`, by least squares of the logarithms.
+    /// Returns one line for each power law: `y ~ x^exponent`, by least squares of the logarithms.
     pub fn exponents(&self) -> String {
         let mut text = String::new();
         let Some(Exponent { x, y }) = &self.experiment.exponent else { return text };
@@ -116,16 +115,16 @@ impl<'a> Results<'a> {
         text
     }
 
-    /// Writes the files that are asked for.
+    /// Writes the CSV file and the plot, if the experiment has them.
     ///
     /// # Errors
-    /// One cannot be written, or a trace that is to be drawn cannot be read.
+    /// A file cannot be written, or the trace for the plot cannot be read.
     pub fn write(&self, base: &Path) -> Result<()> {
         self.write_csv(base)?;
         plot::draw(self.experiment, &self.rows, base)
     }
 
-    /// All columns of all rows.
+    /// Writes all columns of all rows.
     fn write_csv(&self, base: &Path) -> Result<()> {
         let Some(path) = &self.experiment.csv else { return Ok(()) };
         let columns: IndexSet<&str> =
@@ -139,12 +138,12 @@ impl<'a> Results<'a> {
     }
 }
 
-/// The figures of a column.
+/// Returns the numbers in a column.
 fn numbers_of(rows: &[&Row], column: &str) -> Vec<f64> {
     rows.iter().filter_map(|row| row.number_of(column)).collect()
 }
 
-/// All digits.
+/// Formats a figure with all digits.
 fn exact(figure: &Figure) -> String {
     match figure {
         Figure::Number(number) => number.to_string(),
@@ -152,12 +151,12 @@ fn exact(figure: &Figure) -> String {
     }
 }
 
-/// A number, or that there is none.
+/// Formats a number; `-` if there is none.
 fn shown_number(number: Option<f64>) -> String {
     number.map_or("-".to_owned(), |number| shown(&Figure::Number(number)))
 }
 
-/// Four significant digits; counts as they are.
+/// Formats a figure with four significant digits; counts in full.
 fn shown(figure: &Figure) -> String {
     match figure {
         Figure::Text(text) => text.clone(),

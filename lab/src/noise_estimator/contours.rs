@@ -1,5 +1,5 @@
-//! How far beside their place a sensor sees the silhouettes of objects, and how far the points of a silhouette scatter: what the
-//! assembler of the detection learns of its own accord, told after all frames.
+//! Measures how far a sensor shifts the silhouettes of objects, and how far their points scatter, as the assembler of the
+//! detection learns them; reported after all frames.
 
 use conicflow_detection::assemble::{ContourErrors, PooledParameters, SideErrors};
 use conicflow_detection::{Assembler, AssemblerParameters, Extractor, ExtractorParameters};
@@ -7,10 +7,10 @@ use conicflow_geometry::Scan;
 use conicflow_messages::{Header, Object};
 use std::fmt;
 
-/// For how many images an image counts: for as many as a parameter can say, since the sensor is one and the same.
+/// Number of images over which the assembler averages: the largest value of that parameter, as the sensor stays the same.
 const MEMORY: f64 = 1e6; // [algorithmic]
 
-/// What stands over the table.
+/// Head of the table.
 const HEAD: &str = "\
 # contours: how far outside their place silhouettes are seen, offset + share r, less than 0: inside; r is the radius of
 # curvature of the surface along the view, in pixels; behind each number its sigma
@@ -32,18 +32,18 @@ impl Default for Contours {
 }
 
 impl Contours {
-    /// Finds the objects of a depth image of the same camera as before, and learns from their contours.
+    /// Finds the objects of a depth image from the same camera, and learns from their contours.
     pub fn add(&mut self, header: &Header, pixels: &[u16]) -> &[Object] {
         self.assembler.assemble(header, self.extractor.extract(header, pixels))
     }
 
-    /// By how much contours are off in rows, and in columns, as far as an object showed it.
+    /// Returns the errors of contours in rows and in columns, if an object showed them.
     pub fn errors(&self) -> impl Iterator<Item = ContourErrors> {
         self.assembler.contour_errors()
     }
 }
 
-/// A table as comments of a pipeline file.
+/// Writes a table as comments of a pipeline file.
 impl fmt::Display for Contours {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let errors: Vec<_> = self.errors().collect();
@@ -70,7 +70,7 @@ impl fmt::Display for Contours {
     }
 }
 
-/// Where lines begin, and where they end.
+/// Names the ends of a scan line.
 fn names(scan: Scan) -> [&'static str; 2] {
     match scan {
         Scan::Row => ["left", "right"],
@@ -86,10 +86,10 @@ mod tests {
     use conicflow_geometry::Vector3;
     use conicflow_messages::NoiseModel;
 
-    /// Nearer than this is a cylinder, farther the wall, in metres.
+    /// Depth that separates the cylinders from the wall, in metres.
     const BETWEEN_M: f64 = 3.0;
 
-    /// Upright cylinders of several sizes before a wall.
+    /// Upright cylinders of several radii in front of a wall.
     fn cylinders() -> Vec<(Header, Vec<u16>)> {
         let wall = plane(Vector3::z(), 4.0);
         let radii = [0.05, 0.08, 0.12, 0.18];
@@ -100,8 +100,8 @@ mod tests {
         (0..24).map(|seed| render(KINECT_HALF, NoiseModel::KINECT_V1, &[body(seed), wall], seed)).collect()
     }
 
-    /// What a sensor makes of an image that sees the silhouettes of the cylinder so many pixels too far out, where a row begins
-    /// and where it ends; `shift` has the side, half the width in pixels, and a random number from 0 to 1.
+    /// Returns an image with the silhouettes of the cylinder shifted outwards by `shift` pixels at both ends of each row; its
+    /// arguments are the side, half the width in pixels, and a random number from 0 to 1.
     fn shifted(
         (header, pixels): &(Header, Vec<u16>),
         dice: &CounterRng,
@@ -114,11 +114,11 @@ mod tests {
             let last = row.iter().rposition(is_near).unwrap();
             let by = |side: usize| {
                 let draw = |i: u64| dice.uniform(4 * number as u64 + 2 * side as u64 + i);
-                // Whole pixels, which are right on average.
+                // Rounds to whole pixels without bias.
                 (shift(side, 0.5 * (last - first) as f64, draw(0)) + draw(1)).floor() as isize
             };
             let (begin, end) = (first.saturating_add_signed(-by(0)), last.saturating_add_signed(by(1)));
-            // What is on the other side of the silhouette, mirrored there, takes the place of what is covered.
+            // Pixels of the other side, mirrored at the silhouette, replace the covered ones.
             (begin.min(first)..begin.max(first)).for_each(|u| shifted[u] = row[2 * first - 1 - u]);
             (end.min(last) + 1..=end.max(last)).for_each(|u| shifted[u] = row[2 * last + 1 - u]);
             shifted
@@ -126,7 +126,7 @@ mod tests {
         pixels.chunks(header.camera.width as usize).enumerate().flat_map(shifted_row).collect()
     }
 
-    /// The image turned so that its rows are columns.
+    /// Returns the image with rows and columns exchanged.
     fn turned((header, pixels): &(Header, Vec<u16>)) -> (Header, Vec<u16>) {
         let camera = header.camera;
         let (width, height) = (camera.width as usize, camera.height as usize);
@@ -143,7 +143,7 @@ mod tests {
         contours
     }
 
-    /// What is learned of cylinders by a sensor that shifts silhouettes.
+    /// Returns the errors learned from cylinders by a sensor that shifts silhouettes.
     fn learned(shift: impl Fn(usize, f64, f64) -> f64) -> Contours {
         let images = cylinders();
         let shifted = |(number, image): (usize, &(Header, Vec<u16>))| {
@@ -152,7 +152,7 @@ mod tests {
         contours(images.iter().enumerate().map(shifted))
     }
 
-    /// The errors in rows, or in columns; there are none in the other ones.
+    /// Returns the errors in rows or in columns, and checks that there are no others.
     fn only(contours: &Contours, scan: Scan) -> ContourErrors {
         let errors: Vec<_> = contours.errors().collect();
         assert_eq!(errors.iter().map(|errors| errors.scan).collect::<Vec<_>>(), [scan]);
@@ -172,7 +172,7 @@ mod tests {
         let pixel = (1.0_f64 / 12.0).sqrt();
         assert!((errors.scatter_px - pixel).abs() < 0.05 && errors.scatter_share < 0.01, "{errors:?}");
         assert_eq!(errors.objects.round(), 24.0);
-        // Each row of a cylinder shows both sides, which are as many pixels from its axis as its radius.
+        // Each row of a cylinder shows both sides; their distance from the axis in pixels is its radius.
         let (rows, radii) = ((110.0..130.0), (20.0..24.0));
         for side in errors.sides {
             assert!(rows.contains(&(side.points / 24.0)) && radii.contains(&side.radius_px), "{errors:?}");
@@ -199,7 +199,7 @@ mod tests {
         }
     }
 
-    /// Silhouettes that lie anywhere within two pixels of their place, and then are rounded.
+    /// Silhouettes that scatter uniformly within two pixels, and are rounded to whole pixels.
     #[test]
     fn restless_silhouettes_scatter() {
         let errors = only(&learned(|_, _, draw| 4.0 * draw - 2.0), Scan::Row);

@@ -1,8 +1,8 @@
-//! The noise model that explains variances over depth.
+//! Fits the noise model to variances over depth.
 //!
-//! `variance(z) = (floor + growth (z - knee)^2)^2 + (step z^2)^2 / 12`. The step is known, so that what is left of the
-//! standard deviation is linear in floor and growth for each knee; the knee is searched on a grid. Errors count relative
-//! to the deviation, and no coefficient is negative.
+//! `variance(z) = (floor + growth (z - knee)^2)^2 + (step z^2)^2 / 12`. The step is known, so that the rest of the standard
+//! deviation is linear in floor and growth for each knee; the knee is searched on a grid. Errors are relative to the deviation,
+//! and no coefficient is negative.
 
 use crate::quantile::median;
 use crate::random::CounterRng;
@@ -14,34 +14,34 @@ use std::fmt;
 const BIN_RATIO: f64 = 1.05;
 const NEAREST_M: f64 = 0.05;
 const BINS: usize = 120; // up to 17 m
-/// Fewest variances of a bin.
+/// Least number of variances in a bin.
 const FEWEST: usize = 20;
-/// Most that it keeps, far more than it takes for its full weight.
+/// Largest number of variances kept in a bin, far more than its full weight needs.
 const MOST: usize = 1 << 14;
-/// Variances above so many medians are edges, not noise.
+/// Variances above this multiple of the median are edges, not noise.
 const OUTLIER: f64 = 9.0;
-/// A bin so many times as noisy as a better known one explains, or as the model, does not fit.
+/// Ratio of standard deviations from which a bin does not fit a bin with more samples, or the model.
 const MISFIT: f64 = 2.5;
-/// Noise grows by no more than this power of the depth, and does not shrink.
+/// Largest power of the depth with which noise grows; it never shrinks.
 const STEEPEST: i32 = 3;
-/// Weight of a bin in the fit, at most.
+/// Largest weight of a bin in the fit.
 const LARGEST_WEIGHT: f64 = 1000.0;
-/// Least ratio of the farthest to the nearest depth from which a growth can be told.
+/// Least ratio of the farthest to the nearest depth for which a growth is estimated.
 const LEAST_SPAN: f64 = 1.3;
 const KNEE_STEP_M: f64 = 0.02;
 
-/// Variances, by the depth at which they were seen.
+/// Variances, binned by depth.
 #[derive(Clone, Debug, Default)]
 pub struct Spreads {
     bins: Vec<Bin>,
 }
 
-/// A fair sample of the variances at about one depth, the same in each run: any that was added is kept with the same
-/// probability, however long the recording is (algorithm R in J. S. Vitter, "Random sampling with a reservoir", ACM
-/// Transactions on Mathematical Software 11, 1985).
+/// A uniform sample of the variances at about one depth, the same in each run: each variance is kept with the same probability,
+/// however long the recording is (algorithm R in J. S. Vitter, "Random sampling with a reservoir", ACM Transactions on
+/// Mathematical Software 11, 1985).
 #[derive(Clone, Debug, Default)]
 struct Bin {
-    /// How many were added.
+    /// Number of variances added.
     added: u64,
     /// Depth and variance.
     kept: Vec<(f64, f64)>,
@@ -62,7 +62,7 @@ impl Bin {
 }
 
 impl Spreads {
-    /// Adds a variance (square metres) that was seen at a depth (metres).
+    /// Adds a variance (square metres) at a depth (metres).
     pub fn add(&mut self, depth: f64, variance: f64) {
         self.bins.resize(BINS, Bin::default());
         let number = (depth / NEAREST_M).ln() / BIN_RATIO.ln();
@@ -71,7 +71,7 @@ impl Spreads {
         }
     }
 
-    /// The noise of the bins with enough samples; `None`: no bin has enough.
+    /// Returns the noise of the bins with enough samples; `None` if no bin has enough.
     fn summary(&self) -> Option<Vec<Spread>> {
         let samples = self.bins.iter().map(|bin| bin.kept.as_slice());
         let mut enough = samples.filter(|samples| samples.len() >= FEWEST).peekable();
@@ -87,14 +87,14 @@ pub struct Spread {
     pub depth: f64,
     /// Mean variance, in square metres.
     pub variance: f64,
-    /// Number of variances that tell it.
+    /// Number of its variances.
     pub count: usize,
     /// Whether the model explains it.
     pub fits: bool,
 }
 
 impl Spread {
-    /// Edges, which vary far more than noise does, are left out. `None`: there is no noise at all.
+    /// Computes the noise of a bin without edges, which vary far more. `None` if all samples are above the limit.
     fn of(samples: &[(f64, f64)]) -> Option<Self> {
         let median = median(samples.iter().map(|(_, variance)| *variance).collect())?;
         let limit = if median > 0.0 { OUTLIER * median } else { f64::INFINITY };
@@ -109,7 +109,7 @@ impl Spread {
         (self.count as f64).min(LARGEST_WEIGHT)
     }
 
-    /// Whether this is far noisier than a better known spread allows at this depth: edges, or something that moved.
+    /// Whether this is far noisier than a spread with more samples allows at this depth: edges, or something that moved.
     fn exceeds(&self, known: &Self) -> bool {
         let growth = (self.depth / known.depth).powi(STEEPEST).max(1.0);
         known.count >= self.count && self.variance.sqrt() > MISFIT * growth * known.variance.sqrt()
@@ -121,19 +121,18 @@ impl Spread {
     }
 }
 
-/// A noise model and what it was fitted to.
+/// A noise model and the noise to which it was fitted.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NoiseEstimate {
     /// The model.
     pub model: NoiseModel,
-    /// The noise that was seen, from near to far.
+    /// The measured noise, from near to far.
     pub seen: Vec<Spread>,
-    /// Whether the depths reach far enough to tell how the noise grows.
+    /// Whether the range of depths is large enough for the growth of the noise.
     pub grows: bool,
 }
 
-/// Fits a model with a known step of the disparity. Depths that are far noisier than others, with more samples, explain are
-/// left out.
+/// Fits a model with a known disparity step. Leaves out depths that are far noisier than depths with more samples allow.
 ///
 /// # Errors
 /// There are too few variances, or most of them do not fit.
@@ -160,7 +159,7 @@ pub fn fit(spreads: &Spreads, step_per_m: f64) -> Result<NoiseEstimate> {
     Ok(estimate)
 }
 
-/// All spreads, with a note on those that others rule out, and the ones that are left.
+/// Returns all spreads, marked whether others rule them out, and those that are left.
 fn without_outliers(all: Vec<Spread>) -> (Vec<Spread>, Vec<Spread>) {
     let judged = |spread: &Spread| Spread { fits: !all.iter().any(|known| spread.exceeds(known)), ..*spread };
     let seen: Vec<Spread> = all.iter().map(judged).collect();
@@ -169,7 +168,7 @@ fn without_outliers(all: Vec<Spread>) -> (Vec<Spread>, Vec<Spread>) {
 }
 
 impl NoiseEstimate {
-    /// What the model does not explain, with a hint.
+    /// Returns a fault, with a hint, if the model does not explain some depths.
     pub fn misfit(&self) -> Option<Hinted> {
         let misfits = self.seen.iter().filter(|spread| !spread.fits).count();
         (misfits > 0).then(|| {
@@ -182,7 +181,8 @@ impl NoiseEstimate {
         })
     }
 
-    /// Refuses coefficients that most of the samples do not fit; the depths of edges are many, with few samples each.
+    /// Refuses coefficients that most of the samples do not fit. Samples count, not depths: edges occur at many depths, with few
+    /// samples each.
     fn check(&self) -> Result<()> {
         let count = |fits: bool| self.seen.iter().filter(|spread| spread.fits == fits).map(|spread| spread.count).sum();
         let (good, bad): (usize, usize) = (count(true), count(false));
@@ -194,7 +194,7 @@ impl NoiseEstimate {
         }
     }
 
-    /// The model of a stereo camera, whose noise grows with the squared depth, from noise at about one depth.
+    /// Returns the model of a stereo camera, whose noise grows with the squared depth, from noise at about one depth.
     fn of_stereo(&self) -> NoiseModel {
         let fitting = || self.seen.iter().filter(|spread| spread.fits);
         let weights: f64 = fitting().map(Spread::weight).sum();
@@ -204,7 +204,7 @@ impl NoiseEstimate {
     }
 }
 
-/// The best model with a knee, and its cost.
+/// Returns the best model with this knee, and its cost.
 fn fit_with_knee(seen: &[Spread], step_per_m: f64, knee_m: f64, grows: bool) -> (NoiseModel, f64) {
     let (mut ff, mut fg, mut gg, mut f1, mut g1) = (0.0, 0.0, 0.0, 0.0, 0.0);
     for spread in seen {
@@ -232,13 +232,13 @@ fn fit_with_knee(seen: &[Spread], step_per_m: f64, knee_m: f64, grows: bool) -> 
     (model, seen.iter().map(cost).sum())
 }
 
-/// What the steps leave of the standard deviation, at least a tenth of it.
+/// Returns the standard deviation without the steps, at least a tenth of the whole.
 fn axial_sigma(spread: &Spread, step_per_m: f64) -> f64 {
     let step = step_per_m * spread.depth * spread.depth;
     (spread.variance - step * step / 12.0).max(0.01 * spread.variance).sqrt()
 }
 
-/// A table as comments, and the line for the pipeline file.
+/// Writes a table as comments, and the line for the pipeline file.
 impl fmt::Display for NoiseEstimate {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.seen.is_empty() {
@@ -263,7 +263,7 @@ impl fmt::Display for NoiseEstimate {
     }
 }
 
-/// What a pipeline file says of a model.
+/// Formats a model as in a pipeline file.
 fn line(model: &NoiseModel) -> String {
     let NoiseModel { floor_m, growth_per_m, knee_m, step_per_m } = model;
     format!(
@@ -276,7 +276,7 @@ fn line(model: &NoiseModel) -> String {
 mod tests {
     use super::*;
 
-    /// Noise that grows throughout a long recording: a sample of its beginning or its end alone would tell another mean.
+    /// The noise grows throughout a long recording, so that a sample of its beginning or end would have another mean.
     #[test]
     fn a_long_recording_takes_no_more_room_and_is_sampled_fairly() {
         let long = || {

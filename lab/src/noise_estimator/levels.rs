@@ -1,20 +1,20 @@
-//! The step of the disparity, from the depths that occur at all: in a sensor whose disparity comes in steps, the inverse
-//! depths of neighbouring levels are one step apart.
+//! Estimates the disparity step from the depths that occur: if a sensor's disparity has steps, the inverse depths of neighbouring
+//! levels are one step apart.
 
 use crate::quantile::median;
 use conicflow_messages::is_measured;
 
-/// Fewest gaps between levels that tell a step.
+/// Least number of gaps between levels for an estimate.
 const FEWEST: usize = 8;
-/// A gap wider than so many steps is not used: levels are missing there.
+/// Widest gap in use, in steps: in wider ones levels are missing.
 const WIDEST: f64 = 4.5;
-/// Mean distance of gaps from whole steps, in steps, up to which they count as steps; chance would give 0.25.
+/// Largest mean distance of gaps from whole steps, in steps; for random gaps it would be 0.25.
 const LARGEST_FRACTION: f64 = 0.12;
 
-/// Which depths occurred.
+/// The depths that occurred.
 #[derive(Clone, Debug, Default)]
 pub struct Levels {
-    /// One for each scale of the images: rounded to other units, a level has other neighbours.
+    /// One for each scale of the images, as rounding to other units separates levels differently.
     scales: Vec<Scale>,
 }
 
@@ -22,7 +22,7 @@ pub struct Levels {
 struct Scale {
     /// Metres per unit.
     depth_scale: f64,
-    /// For each number of units, whether it occurred.
+    /// Whether each number of units occurred.
     occurred: Vec<bool>,
 }
 
@@ -31,7 +31,7 @@ struct Scale {
 struct Gap {
     /// Difference of the inverse depths, in 1/metre.
     inverse: f64,
-    /// Units of the depth image that one step of 1/metre makes there.
+    /// Units of the depth image for a step of 1/metre at this depth.
     units_per_step: f64,
 }
 
@@ -47,7 +47,7 @@ impl Levels {
         pixels.iter().filter(|pixel| is_measured(**pixel)).for_each(|&pixel| occurred[usize::from(pixel)] = true);
     }
 
-    /// Depth between two neighbouring levels, divided by the squared depth, in 1/metre; 0: no steps can be told.
+    /// Returns the depth between two neighbouring levels divided by the squared depth, in 1/metre; 0 if there are no clear steps.
     pub fn step_per_m(&self) -> f64 {
         let gaps: Vec<(usize, Gap)> = self.scales.iter().flat_map(Scale::gaps).collect();
         let wide: Vec<f64> = gaps.iter().filter(|(units, _)| *units >= 3).map(|(_, gap)| gap.inverse).collect();
@@ -58,7 +58,7 @@ impl Levels {
 }
 
 impl Scale {
-    /// Gaps between depths that occur, with their widths in units.
+    /// Returns the gaps between occurring depths, with their widths in units.
     fn gaps(&self) -> Vec<(usize, Gap)> {
         let occurring: Vec<usize> = (1..self.occurred.len()).filter(|&depth| self.occurred[depth]).collect();
         let gap = |pair: &[usize]| {
@@ -70,8 +70,8 @@ impl Scale {
     }
 }
 
-/// The step that makes the gaps whole numbers of it, where the units of the image are fine enough to tell; `None`: there is
-/// none.
+/// Returns the step of which the gaps are whole multiples, from gaps where the units of the image are fine enough; `None` if
+/// there is none.
 fn refined(gaps: &[Gap], step: f64) -> Option<f64> {
     let (mut sum, mut steps, mut fraction, mut count) = (0.0, 0.0, 0.0, 0_usize);
     for gap in gaps.iter().filter(|gap| gap.units_per_step * step >= 4.0 && gap.inverse < WIDEST * step) {
@@ -89,7 +89,7 @@ fn refined(gaps: &[Gap], step: f64) -> Option<f64> {
 mod tests {
     use super::*;
 
-    /// All levels of a disparity in steps between two depths, in pixels of `scale` metres.
+    /// All levels of a stepped disparity between two depths, in units of `scale` metres.
     fn stepped(step: f64, scale: f64, from: f64, to: f64) -> Vec<u16> {
         let numbers = (1.0 / (to * step)) as u32..(1.0 / (from * step)) as u32;
         numbers.map(|number| (1.0 / (f64::from(number) * step) / scale).round() as u16).collect()

@@ -1,10 +1,9 @@
-//! The noise of a sensor from a recording, as the line that a pipeline file needs.
+//! Estimates the noise of a sensor from a recording, as a line for the pipeline file.
 //!
-//! Of a static scene the depth of each pixel varies from frame to frame by nothing but noise ([`temporal`]). Of flat walls
-//! and floors each block of the image is a plane up to noise ([`wall`]), also up to that which does not change with time
-//! and which a fit to a surface meets as well. Both give variances over depth, to which [`fit`] fits a noise model.
-//! Beside it [`planes`] tells how alike the noise of neighbouring pixels is, of recorded and of simulated frames alike, and
-//! [`contours`] how far beside their place the sensor sees silhouettes.
+//! In a static scene, only noise changes the depth of a pixel from frame to frame ([`temporal`]). On flat walls and floors, each
+//! block of the image is a plane except for noise ([`wall`]). The latter includes constant errors, which a fit to a surface meets
+//! as well. Both give variances over depth, to which [`fit`] fits a noise model. In addition, [`planes`] measures the correlation
+//! of the noise of neighbouring pixels, in recorded and simulated frames, and [`contours`] how far the sensor shifts silhouettes.
 
 mod contours;
 mod fit;
@@ -27,11 +26,11 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use temporal::Temporal;
 
-/// What the recording shows.
+/// The content of the recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Recorded {
-    /// Anything that does not move, seen by a camera that does not move.
+    /// A static scene seen by a camera that does not move.
     #[default]
     StaticScene,
     /// Flat walls and floors; camera and walls may move.
@@ -42,9 +41,9 @@ pub enum Recorded {
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct NoiseEstimatorParameters {
-    /// What the recording shows: `static_scene` (nothing moves) or `flat_wall` (walls and floors fill most of the image).
+    /// Content of the recording: `static_scene` (nothing moves) or `flat_wall` (walls and floors fill most of the image).
     pub recorded: Recorded,
-    /// Fewest measurements of a pixel of a static scene.
+    /// Least number of measurements of a pixel of a static scene.
     #[schemars(range(min = 3))]
     pub min_frames: u32,
     /// Side of the blocks in which a wall counts as flat, in pixels.
@@ -58,7 +57,7 @@ impl Default for NoiseEstimatorParameters {
     }
 }
 
-/// Gathers the noise of depth images.
+/// Collects the noise of depth images.
 pub struct NoiseEstimator {
     config: NoiseEstimatorParameters,
     /// Width and height of the first frame.
@@ -73,18 +72,18 @@ pub struct NoiseEstimator {
 }
 
 impl NoiseEstimator {
-    /// An estimator that has seen nothing.
+    /// Creates an estimator without data.
     pub fn with(config: NoiseEstimatorParameters) -> Self {
         let (levels, temporal, spreads) = (Levels::default(), Temporal::default(), Spreads::default());
         let (planes, contours) = (Planes::default(), Contours::default());
         Self { config, size: None, frames: 0, levels, temporal, spreads, planes, contours }
     }
 
-    /// Adds a depth image. Its scale may be another than before: that of a recorded point cloud depends on its largest
+    /// Adds a depth image. Its scale may differ from earlier ones, as that of a recorded point cloud depends on its largest
     /// depth.
     ///
     /// # Errors
-    /// It is of another size than those before.
+    /// The image has another size than the first one.
     pub fn add(&mut self, header: &Header, pixels: &[u16]) -> anyhow::Result<()> {
         let size = (header.camera.width, header.camera.height);
         if *self.size.get_or_insert(size) != size {
@@ -105,20 +104,20 @@ impl NoiseEstimator {
         Ok(())
     }
 
-    /// How alike the noise of neighbours is on the planes that were seen.
+    /// Returns the correlation of the noise of neighbouring pixels on the planes.
     pub fn planes(&self) -> &Planes {
         &self.planes
     }
 
-    /// How far beside their place the contours of the objects lie that were seen.
+    /// Returns the errors of the objects' contours.
     pub fn contours(&self) -> &Contours {
         &self.contours
     }
 
-    /// The noise that explains what was seen.
+    /// Returns the noise model that explains the measured noise.
     ///
     /// # Errors
-    /// Too little was seen.
+    /// There is too little data.
     pub fn estimate(&self) -> anyhow::Result<NoiseEstimate> {
         if self.size.is_none() {
             bail!(Hinted::new("no frame was seen, so the noise cannot be estimated", "give a recording"));

@@ -1,12 +1,12 @@
-//! How alike the noise of neighbouring pixels is: residuals of windows that lie wholly on one plane, by distance.
+//! Measures the correlation of the noise of neighbouring pixels, by distance, from residuals of windows that lie on one plane.
 //!
-//! In each frame the one or two largest planes are searched for by random samples (in a pinhole camera the inverse depth of
-//! a plane is linear in the pixel). A window of 64 times 64 pixels that one of them explains gets a plane of its own, which
-//! is taken off; what is left, in depth, tells sigma and the autocorrelation along rows and columns. So waves longer than
-//! some 50 px are taken off with the plane, and at 16 px the autocorrelation reads low. Windows overlap by half.
+//! In each frame, random samples find the one or two largest planes (in a pinhole camera the inverse depth of a plane is linear
+//! in the pixel). For each window of 64 x 64 pixels that one of them explains, a plane of its own is fitted and subtracted. The
+//! residuals in depth give sigma and the autocorrelation along rows and columns. The fit also removes waves longer than some 50
+//! px, so that the autocorrelation at 16 px reads low. Windows overlap by half.
 //!
-//! Of a camera that stands still, the residuals of a window are averaged over the frames: what remains of them stays, the
-//! rest is new in each frame. With n frames, C the covariance of single frames and M that of their mean,
+//! For a still camera, the residuals of a window are averaged over the frames: the mean is the constant part, and the rest is new
+//! in each frame. With n frames, C the covariance of single frames and M that of their mean,
 //! `new = (C - M) n / (n - 1)` and `stays = C - new`.
 
 use crate::quantile::{median, quantile};
@@ -15,47 +15,47 @@ use conicflow_messages::{Header, is_measured};
 use nalgebra::{Matrix3, Vector3};
 use std::fmt;
 
-/// Side of a window, and the distance of neighbouring ones, in pixels.
+/// Side of a window, and the distance of neighbouring windows, in pixels.
 const WINDOW_PX: usize = 64;
 const STRIDE_PX: usize = WINDOW_PX / 2;
 /// Lags of the autocorrelation, in pixels; the first is the variance.
 const LAGS: [usize; 6] = [0, 1, 2, 4, 8, 16];
-/// Ends of the bands, in metres.
+/// Limits of the depth bands, in metres.
 const BANDS_M: [f64; 14] = [0.2, 0.4, 0.5, 0.6, 0.7, 0.8, 1.0, 1.3, 1.7, 2.2, 3.0, 4.0, 6.0, 10.0];
-/// Planes that are searched for in a frame.
+/// Number of planes that are searched in a frame.
 const PLANES: usize = 2;
-/// Every so many pixels, along each side, one is asked for the planes.
+/// Distance of the pixels used in the search for planes.
 const GRID_PX: usize = 8;
 const TRIALS: u64 = 300;
-/// Farthest distance of the three pixels of a trial, in points of the grid.
+/// Largest distance of the three pixels of a trial, in grid points.
 const TRIAL_REACH: f64 = 20.0;
-/// Residual of the inverse depth up to which a pixel may belong to any plane, in 1/metre: three sigmas of a stereo camera with
-/// the noise of 4 mm at 1 m.
+/// Largest residual of the inverse depth for a pixel to belong to any plane, in 1/metre: three sigmas of a stereo camera with a
+/// noise of 4 mm at 1 m.
 const TRIAL_RESIDUAL_PER_M: f64 = 0.012;
-/// Residual from a frame's plane up to which a pixel may belong to it, in robust standard deviations.
+/// Largest residual of a pixel from a frame's plane, in robust standard deviations.
 const LARGEST_RESIDUAL: f64 = 5.0;
 /// Least share of a frame's points that a plane has to explain.
 const LEAST_PLANE: f64 = 0.04;
-/// Least share of a window's pixels that are measured, and of those the share that lies on the plane.
+/// Least share of a window's pixels that are measured, and least share of these that are on the plane.
 const LEAST_MEASURED: f64 = 0.9;
 const LEAST_ON_PLANE: f64 = 0.99;
-/// Fewest frames that tell what stays.
+/// Least number of frames to separate constant from new noise.
 const FEWEST_FRAMES: u32 = 5;
 
 /// Covariance at the lags, along rows and along columns; both begin with the variance.
 type Covariances = [[f64; LAGS.len()]; 2];
 
-/// Windows on planes, of all frames so far.
+/// The windows on planes of all frames so far.
 #[derive(Clone, Debug, Default)]
 pub struct Planes {
     frames: u64,
     /// Depth in metres and covariances in square metres of each window of each frame.
     windows: Vec<(f64, Covariances)>,
-    /// The same place in all frames, for a camera that stands still.
+    /// The windows at the same position in all frames, for a still camera.
     places: Vec<WindowHistory>,
 }
 
-/// A window's residuals over the frames.
+/// The residuals of a window over the frames.
 #[derive(Clone, Debug, Default)]
 struct WindowHistory {
     frames: u32,
@@ -66,7 +66,7 @@ struct WindowHistory {
 }
 
 impl Planes {
-    /// Adds a depth image of the same size as those before; `still`: the camera and what it sees stand still.
+    /// Adds a depth image of the same size as before; `still`: neither the camera nor the scene moves.
     pub fn add(&mut self, header: &Header, pixels: &[u16], still: bool) {
         let (width, height) = (header.camera.width as usize, header.camera.height as usize);
         let inverse = |&pixel: &u16| match is_measured(pixel) {
@@ -89,8 +89,8 @@ impl Planes {
     }
 }
 
-/// What is left of a window that lies on a plane when that is taken off, and the plane's depth in its middle. The residuals are
-/// in metres, not a number where nothing is measured.
+/// Returns the depth of a window's plane in its middle, and the residuals of the window from it in metres, NaN where nothing is
+/// measured. `None` if the window is not on one plane.
 fn flattened(inverse: &[f64], width: usize, [left, top]: [usize; 2], planes: &[Plane]) -> Option<(f64, Vec<f64>)> {
     let pixels = || {
         let places = (0..WINDOW_PX).flat_map(|j| (0..WINDOW_PX).map(move |i| (left + i, top + j)));
@@ -133,7 +133,7 @@ impl WindowHistory {
         }
     }
 
-    /// Mean depth, and the covariances of what stays and of what is new.
+    /// Returns the mean depth, and the covariances of the constant and the new part.
     fn parts(&self) -> (f64, [Covariances; 2]) {
         let frames = f64::from(self.frames);
         let mean = |(sum, count): (&f64, &u32)| match 2 * count >= self.frames {
@@ -153,11 +153,11 @@ impl WindowHistory {
     }
 }
 
-/// A plane of a frame: its inverse depth, linear in the pixel.
+/// A plane in a frame: its inverse depth is linear in the pixel.
 #[derive(Clone, Copy, Debug)]
 struct Plane {
     coefficients: Vector3<f64>,
-    /// Largest residual of what belongs to it, in 1/metre.
+    /// Largest residual of its pixels, in 1/metre.
     limit: f64,
 }
 
@@ -166,7 +166,7 @@ impl Plane {
         (self.coefficients.dot(place) - inverse).abs()
     }
 
-    /// False of what is not measured.
+    /// Whether a pixel belongs to the plane; false without a measurement.
     fn explains(&self, place: &Vector3<f64>, inverse: f64) -> bool {
         self.residual(place, inverse) <= self.limit
     }
@@ -176,7 +176,7 @@ fn place_of(u: usize, v: usize) -> Vector3<f64> {
     Vector3::new(1.0, u as f64, v as f64)
 }
 
-/// Least squares; `None` of too little.
+/// Fits a plane by least squares; `None` if there are too few points.
 fn fitted(points: impl Iterator<Item = (Vector3<f64>, f64)>) -> Option<Vector3<f64>> {
     let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
     for (place, inverse) in points {
@@ -186,7 +186,7 @@ fn fitted(points: impl Iterator<Item = (Vector3<f64>, f64)>) -> Option<Vector3<f
     Some(normal.cholesky()?.solve(&right))
 }
 
-/// The largest planes of an image, the largest first.
+/// Returns the largest planes of an image, in descending order.
 fn largest_planes(inverse: &[f64], width: usize, dice: &CounterRng) -> Vec<Plane> {
     let mut points: Vec<_> = inverse
         .iter()
@@ -209,7 +209,7 @@ fn largest_planes(inverse: &[f64], width: usize, dice: &CounterRng) -> Vec<Plane
     planes
 }
 
-/// The plane through three neighbouring points that explains most.
+/// Returns the plane through three nearby points that explains the most pixels.
 fn largest_plane(points: &[(Vector3<f64>, f64)], dice: &CounterRng, number: u64) -> Option<Plane> {
     let mut best: Option<(usize, Plane)> = None;
     for trial in 0..TRIALS {
@@ -234,7 +234,7 @@ fn largest_plane(points: &[(Vector3<f64>, f64)], dice: &CounterRng, number: u64)
     best.map(|(_, plane)| plane)
 }
 
-/// The plane fitted to what it explains, with the limit that the noise of that gives; a few times over.
+/// Refits a plane several times to the pixels that it explains, with a limit that follows from their noise.
 fn settled(mut plane: Plane, points: &[(Vector3<f64>, f64)]) -> Option<Plane> {
     const ROUNDS: usize = 4;
     /// Median absolute deviation of a normal variable of variance one.
@@ -250,7 +250,7 @@ fn settled(mut plane: Plane, points: &[(Vector3<f64>, f64)]) -> Option<Plane> {
     Some(plane)
 }
 
-/// Mean products of the residuals of a window with those so many pixels on.
+/// Returns the mean products of a window's residuals with those at each lag.
 fn covariances(residuals: &[f64]) -> Covariances {
     let at = |lag: usize, along_row: bool| {
         let (mut sum, mut count) = (0.0, 0.0);
@@ -271,7 +271,7 @@ fn covariances(residuals: &[f64]) -> Covariances {
     [true, false].map(|along_row| LAGS.map(|lag| at(lag, along_row)))
 }
 
-/// One line for each band: windows, quartiles of sigma, and the mean autocorrelations.
+/// Writes one line for each depth band: windows, quartiles of sigma, and the mean autocorrelations.
 fn table(windows: &[(f64, Covariances)], f: &mut fmt::Formatter<'_>) -> fmt::Result {
     for band in BANDS_M.windows(2) {
         let inside: Vec<_> = windows.iter().filter(|(depth, _)| (band[0]..band[1]).contains(depth)).collect();
@@ -301,7 +301,7 @@ fn table(windows: &[(f64, Covariances)], f: &mut fmt::Formatter<'_>) -> fmt::Res
     Ok(())
 }
 
-/// Tables as comments of a pipeline file.
+/// Writes tables as comments of a pipeline file.
 impl fmt::Display for Planes {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         const HEAD: &str =
@@ -330,7 +330,7 @@ mod tests {
     use crate::simulator::{SimulatorParameters, SyntheticCamera};
     use conicflow_messages::Camera;
 
-    /// A table before a wall, seen at an angle, and a box on it.
+    /// A table seen at an angle, with a box on it, in front of a wall.
     const TABLE: &str = "
 name = 'table'
 [camera]
@@ -357,7 +357,7 @@ point = [0, 0.8, 0]
 normal = [0.2, -1, 0.5]
 ";
 
-    /// The median over the windows of a number that is taken from depth and covariances.
+    /// Returns the median over the windows of a number computed from depth and covariances.
     fn typical(windows: &[(f64, Covariances)], number: impl Fn(f64, &Covariances) -> f64) -> f64 {
         median(windows.iter().map(|(depth, covariances)| number(*depth, covariances)).collect()).unwrap()
     }
@@ -405,7 +405,7 @@ normal = [0.2, -1, 0.5]
         assert!(largest.fold(0.0, f64::max) < 0.006, "noise only");
     }
 
-    /// A wave that stays, of a sigma of 1 mm, and white noise that is new, of 2 mm.
+    /// A constant wave with a sigma of 1 mm, and white noise of 2 mm that is new in each frame.
     #[test]
     fn what_stays_is_told_from_what_is_new() {
         let camera = Camera { width: 320, height: 240, ..Camera::default() };
@@ -430,7 +430,7 @@ normal = [0.2, -1, 0.5]
         assert_eq!(planes.to_string().matches("what stays").count(), 1);
     }
 
-    /// What the recordings of real cameras have, with room for what differs among them; see `experiments/README.md`.
+    /// Ranges of recordings by real cameras, with a margin for their differences; see `experiments/README.md`.
     #[test]
     fn simulated_planes_are_as_alike_as_real_ones() {
         let stereo = [[0.94..0.99, 0.75..0.92, 0.5..0.75], [0.8..0.95, 0.3..0.6, -0.15..0.2]];

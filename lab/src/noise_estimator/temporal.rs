@@ -4,7 +4,7 @@ use super::fit::Spreads;
 use crate::running_stats::RunningStats;
 use conicflow_messages::is_measured;
 
-/// The depths of all pixels, in metres.
+/// Statistics of the depths of all pixels, in metres.
 #[derive(Clone, Debug, Default)]
 pub struct Temporal {
     pixels: Vec<RunningStats>,
@@ -19,7 +19,7 @@ impl Temporal {
         }
     }
 
-    /// The variances of the pixels that were measured often enough.
+    /// Returns the variances of the pixels with enough measurements.
     pub fn spreads(&self, min_frames: u32) -> Spreads {
         let mut spreads = Spreads::default();
         for depths in self.pixels.iter().filter(|depths| depths.count() >= u64::from(min_frames)) {

@@ -6,7 +6,7 @@ use crate::simulator::{SimulatorParameters, SyntheticCamera};
 use conicflow_detection::noise::{NoiseConfig, REALSENSE_D435, TIME_OF_FLIGHT};
 use conicflow_messages::NoiseModel;
 
-/// A floor that is seen from 0.8 to 6 m, and a box on it.
+/// A floor seen from 0.8 to 6 m, with a box on it.
 const FLOOR: &str = "
 name = 'floor'
 [camera]
@@ -34,7 +34,7 @@ point = [0, 2, 0]
 normal = [0.1, -1, 0.1]
 ";
 
-/// Of frames that have these scales in turn.
+/// Estimates the noise from frames that have these scales in turn.
 fn estimate(scene: &str, sensor: SensorConfig, scales: &[f64], frames: u64, recorded: Recorded) -> NoiseEstimate {
     let config = SimulatorParameters { width: 160, height: 120, ..SimulatorParameters::default() };
     let scene = Scene::parse(scene, "test").unwrap();
@@ -49,7 +49,7 @@ fn estimate(scene: &str, sensor: SensorConfig, scales: &[f64], frames: u64, reco
     estimator.estimate().unwrap()
 }
 
-/// Largest relative error of the estimated deviation over the depths that were seen.
+/// Returns the largest relative error of the estimated deviation over the measured depths.
 fn worst(estimate: &NoiseEstimate, truth: &NoiseModel) -> f64 {
     let errors =
         estimate.seen.iter().map(|spread| estimate.model.sigma(spread.depth) / truth.sigma(spread.depth) - 1.0);
@@ -65,7 +65,7 @@ fn a_static_scene_tells_the_noise_of_a_kinect() {
     assert!(worst(&estimate, &truth) < 0.06, "{:.3}\n{estimate}", worst(&estimate, &truth));
 }
 
-/// As frames of recorded point clouds have, one of which looks beyond 6.55 m.
+/// As in recorded point clouds, of which some extend beyond 6.55 m.
 #[test]
 fn frames_of_several_scales_tell_it_as_well() {
     for (recorded, frames, limit) in [(Recorded::StaticScene, 40, 0.06), (Recorded::FlatWall, 6, 0.1)] {

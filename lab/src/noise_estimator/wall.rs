@@ -7,7 +7,7 @@ use super::fit::Spreads;
 use conicflow_messages::{Header, is_measured};
 use nalgebra::{Matrix3, Vector3};
 
-/// Least share of the pixels of a block that have to be measured.
+/// Least share of a block's pixels that have to be measured.
 const LEAST_SHARE: f64 = 0.8;
 
 /// Adds the residual variance of each block of an image.
@@ -22,7 +22,7 @@ pub fn add(header: &Header, pixels: &[u16], block_px: u32, spreads: &mut Spreads
     }
 }
 
-/// Mean depth and variance of the depths about a plane, where enough is measured.
+/// Returns the mean depth of a block and the variance about its plane, if enough pixels are measured.
 fn block(header: &Header, pixels: &[u16], [left, top]: [u32; 2], size: u32) -> Option<(f64, f64)> {
     let width = header.camera.width;
     let middle = 0.5 * f64::from(size - 1);

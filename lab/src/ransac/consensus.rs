@@ -1,7 +1,7 @@
-//! The search itself: ellipses through four random points each, and the points that lie on the best of them.
+//! The search for ellipses: each trial passes through four random points, and the one with the most points on it wins.
 //!
-//! An ellipse along the axes of the scan plane, `a s^2 + c t^2 + d s + e t = 0` about one of its points, has three ratios
-//! left, which three more points determine. A point lies on it within a limit of Sampson's distance `|F| / |grad F|`.
+//! An ellipse along the axes of the scan plane, `a s^2 + c t^2 + d s + e t = 0` about one of its points, has three free ratios,
+//! which three more points determine. A point lies on it if its Sampson distance `|F| / |grad F|` is within a limit.
 
 use super::RansacParameters;
 use crate::random::CounterRng;
@@ -17,11 +17,11 @@ pub(super) struct Point {
     pub pixel: u32,
     /// In-plane coordinates, in metres.
     pub st: [f64; 2],
-    /// Square of its largest distance from an ellipse that it lies on, in square metres.
+    /// Square of its largest distance from its ellipse, in square metres.
     pub limit2: f64,
 }
 
-/// The random numbers of one frame, in the order in which they are asked for.
+/// The random numbers of one frame, in the order of their use.
 #[derive(Debug)]
 pub(super) struct Draws {
     dice: CounterRng,
@@ -29,7 +29,7 @@ pub(super) struct Draws {
 }
 
 impl Draws {
-    /// None drawn yet.
+    /// Starts with the first number.
     pub fn new(dice: CounterRng) -> Self {
         Self { dice, count: 0 }
     }
@@ -39,7 +39,7 @@ impl Draws {
         ((self.dice.uniform(self.count) * end as f64) as usize).min(end - 1)
     }
 
-    /// Different numbers below `end >= SAMPLE`, each set as likely as any other (Floyd's algorithm, CACM 1987).
+    /// Draws different numbers below `end >= SAMPLE`; all sets are equally likely (Floyd's algorithm, CACM 1987).
     fn sample(&mut self, end: usize) -> [usize; SAMPLE] {
         let mut sample = [end; SAMPLE];
         for (place, most) in (end - SAMPLE..end).enumerate() {
@@ -50,8 +50,8 @@ impl Draws {
     }
 }
 
-/// Takes the points on the best ellipse out of `points`, in the order of their pixels; `None` where no ellipse has enough of
-/// them.
+/// Removes the points on the best ellipse from `points` and returns them in the order of their pixels; `None` if no ellipse has
+/// enough points.
 pub(super) fn take_consensus(
     points: &mut Vec<Point>,
     config: &RansacParameters,
@@ -61,7 +61,7 @@ pub(super) fn take_consensus(
     Some(points.extract_if(.., |point| lies_on(&best, point)).collect())
 }
 
-/// The ellipse that most points lie on, the first of several.
+/// Returns the ellipse with the most points on it; among equals the first.
 fn best_ellipse(points: &[Point], config: &RansacParameters, draws: &mut Draws) -> Option<Conic> {
     let (mut best, mut most) = (None, config.conic.min_points as usize - 1);
     if points.len() <= most.max(SAMPLE) {
@@ -83,7 +83,7 @@ fn best_ellipse(points: &[Point], config: &RansacParameters, draws: &mut Draws) 
     best
 }
 
-/// The conic `a s^2 + c t^2 + d s + e t = 0` through four points, about the first: the null vector of three equations.
+/// Returns the conic `a s^2 + c t^2 + d s + e t = 0` through four points, about the first: the null vector of three equations.
 fn through([origin, others @ ..]: [[f64; 2]; SAMPLE]) -> Conic {
     let from_origin = others.map(|[s, t]| [s - origin[0], t - origin[1]]);
     let column = |term: fn([f64; 2]) -> f64| Vector3::from(from_origin.map(term));
@@ -94,7 +94,7 @@ fn through([origin, others @ ..]: [[f64; 2]; SAMPLE]) -> Conic {
     Conic { origin, coefficients: [a, 0.0, c, d, e, 0.0] }
 }
 
-/// Whether a point is near enough to an ellipse of [`through`].
+/// Whether a point lies on an ellipse of [`through`].
 #[inline]
 fn lies_on(conic: &Conic, point: &Point) -> bool {
     let [a, _, c, d, e, _] = conic.coefficients;

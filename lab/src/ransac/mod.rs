@@ -1,10 +1,10 @@
-//! Finds ellipses in the scan lines of a depth image by random sample consensus: what the paper compares its extractor
-//! with, and a stage to swap in for it.
+//! Finds ellipses in the scan lines of a depth image by random sample consensus, with which the paper compares its extractor; it
+//! can replace that extractor's stage.
 //!
-//! Fischler, Bolles, "Random sample consensus" (CACM 1981): of a line's points four are drawn at random, which determine an
-//! ellipse along the axes of the scan plane; of `k = ln(1 - p) / ln(1 - w^4)` such ellipses the one that most points lie
-//! on is fitted to all of them ([`consensus`]). Its points are taken away, and the next ellipse is looked for among the rest.
-//! Nothing knows that an arc is in one piece: points of a wall far apart may support a flat ellipse.
+//! Fischler, Bolles, "Random sample consensus" (CACM 1981): four random points of a line determine an ellipse along the axes of
+//! the scan plane. Of `k = ln(1 - p) / ln(1 - w^4)` such ellipses, the one with the most points on it is fitted to all of these
+//! ([`consensus`]). Its points are removed, and the next ellipse is searched among the rest. The points of an arc need not be
+//! connected: points of a wall that are far apart may support a flat ellipse.
 
 mod consensus;
 #[cfg(test)]
@@ -29,7 +29,7 @@ pub struct RansacParameters {
     /// Looks at every n-th scan line.
     #[schemars(range(min = 1, max = 64))]
     pub line_step: u32,
-    /// Which random numbers are drawn; with the number of the frame it determines all of them.
+    /// Seed of the random numbers; with the number of the frame it determines all of them.
     pub seed: u64,
     /// Probability p of drawing four points of an ellipse at least once, where there is one.
     #[schemars(range(min = 0.01, max = 0.9999))]
@@ -43,7 +43,7 @@ pub struct RansacParameters {
     /// ... plus this, for what the noise model leaves out, in metres.
     #[schemars(range(min = 0.0, max = 0.1))]
     pub max_distance_floor_m: f64,
-    /// Most ellipses that are looked for in a line.
+    /// Largest number of ellipses in a line.
     #[schemars(range(min = 1, max = 100))]
     pub max_ellipses: u32,
     /// Smallest semi-axis of an ellipse, in metres.
@@ -52,11 +52,11 @@ pub struct RansacParameters {
     /// Largest semi-axis of an ellipse, in metres.
     #[schemars(range(min = 0.001, max = 10.0))]
     pub max_radius_m: f64,
-    /// What an ellipse has to be; the same table as of `row_ellipse_extractor`.
+    /// Limits on an ellipse; the same table as of `row_ellipse_extractor`.
     pub conic: EllipseLimits,
 }
 
-/// What an ellipse has to be.
+/// Limits on an ellipse.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct EllipseLimits {
@@ -93,19 +93,19 @@ impl Default for RansacParameters {
 }
 
 impl RansacParameters {
-    /// Number of trials: so many that with probability `confidence` one of them draws four points of an ellipse.
+    /// Returns the number of trials after which one has drawn four points of an ellipse with probability `confidence`.
     pub fn trials(&self) -> u32 {
         let right = self.inlier_ratio.powi(consensus::SAMPLE as i32);
         ((1.0 - self.confidence).ln() / (1.0 - right).ln()).ceil() as u32
     }
 
-    /// A measurement with how far it may be off an ellipse that it lies on.
+    /// Returns a measurement with its largest distance from an ellipse.
     fn limited(&self, &scan_line::Point { pixel, depth, st }: &scan_line::Point, noise: &NoiseModel) -> Point {
         let limit = self.max_distance_floor_m + self.max_distance_sigmas * noise.sigma(depth);
         Point { pixel, st, limit2: limit * limit }
     }
 
-    /// Whether an ellipse is of a size and shape that is looked for.
+    /// Whether size and shape of an ellipse are within the limits.
     fn admits(&self, ellipse: &geometry::Ellipse) -> bool {
         let [long, short] = ellipse.semi_axes;
         short >= self.min_radius_m && long <= self.max_radius_m && short >= self.conic.min_radius_ratio * long
@@ -121,12 +121,12 @@ pub struct RansacEllipseExtractor {
 }
 
 impl RansacEllipseExtractor {
-    /// An extractor with these parameters.
+    /// Creates an extractor with these parameters.
     pub fn new(config: RansacParameters) -> Self {
         Self { config, ellipses: Vec::new(), rejections: BTreeMap::new() }
     }
 
-    /// The ellipses of the depth image `pixels` (row by row, `width * height` of them), in the order of the scan lines.
+    /// Returns the ellipses of the depth image `pixels` (row by row, `width * height` of them), in the order of the scan lines.
     pub fn extract(&mut self, header: &Header, pixels: &[u16]) -> &[Ellipse] {
         self.ellipses.clear();
         self.rejections.clear();
@@ -145,13 +145,13 @@ impl RansacEllipseExtractor {
         &self.ellipses
     }
 
-    /// Why what most points lay on was turned down in the last image, and how often.
+    /// Returns the reasons for rejected consensus sets of the last image, and their counts.
     pub fn rejections(&self) -> impl Iterator<Item = (&'static str, u64)> {
         self.rejections.iter().map(|(reason, times)| (*reason, *times))
     }
 }
 
-/// The ellipse of all points of a consensus, or why it is none.
+/// Returns the ellipse of all points of a consensus, or the reason to reject it.
 fn fitted(points: &[Point], line: &ScanLine, config: &RansacParameters) -> Result<Ellipse, &'static str> {
     let (first, last) = points.first().zip(points.last()).ok_or("consensus of no points")?;
     let moments = PlaneMoments::of(first.st, points.iter().map(|point| point.st));

@@ -1,4 +1,4 @@
-//! Scores answers frame by frame: what was found, how well, what was missed and what was wrong.
+//! Scores answers frame by frame: correct ones, their errors, missed objects and wrong answers.
 
 use super::matching::{Answer, MatchedFrame, Matcher};
 use super::notes::Notes;
@@ -10,11 +10,11 @@ use super::{summary, tables};
 use anyhow::Result;
 use conicflow_messages::Header;
 
-/// Where the truth comes from.
+/// The source of the truth.
 pub enum TruthSource {
-    /// From the scene that a frame shows.
+    /// The scene that a frame shows.
     Rendered(Box<RenderedTruth>),
-    /// From a truth file.
+    /// A truth file.
     Recorded(RecordedTruth),
 }
 
@@ -26,15 +26,15 @@ pub struct Evaluation {
 }
 
 impl Evaluation {
-    /// An evaluation of frames whose truth is known from somewhere.
+    /// Creates an evaluation with this source of the truth.
     pub fn new(truth: TruthSource) -> Self {
         Self { truth, score: Score::default(), notes: Notes::default() }
     }
 
-    /// Scores the answers to a frame; `None` where the truth file has nothing about it.
+    /// Scores the answers to a frame; `None` if the truth file does not have it.
     ///
     /// # Errors
-    /// The frame shows a scene that is not known.
+    /// The frame shows an unknown scene.
     pub fn add(&mut self, header: &Header, answers: &[Answer]) -> Result<Option<MatchedFrame>> {
         let mut matcher = Matcher::default();
         match &self.truth {
@@ -60,20 +60,20 @@ impl Evaluation {
         }
     }
 
-    /// All that was counted.
+    /// Returns all counts.
     pub fn score(&self) -> &Score {
         &self.score
     }
 
-    /// All that was counted, in one row.
+    /// Returns all counts in one row.
     pub fn row(&self) -> Row {
         summary::row(&self.score)
     }
 
-    /// What came of all frames: tables of rendered ones; of recorded ones what was found and what not, frame by frame.
+    /// Returns the report on all frames: tables for rendered ones; for recorded ones, what was found and missed in each.
     ///
     /// # Errors
-    /// Frames came, and the truth file has none of them.
+    /// There were frames, but none of them is in the truth file.
     pub fn report(&self) -> Result<String> {
         match &self.truth {
             TruthSource::Rendered(_) => Ok(tables::report(&self.score)),

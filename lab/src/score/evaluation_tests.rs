@@ -1,4 +1,4 @@
-//! Evaluations of scenes and recordings whose answers are made up.
+//! Evaluations of scenes and recordings with made-up answers.
 
 use super::matching::tests::answers;
 use super::matching::{Fault, MatchedFrame};
@@ -23,12 +23,12 @@ fn evaluation() -> Evaluation {
     evaluation_of(RenderedTruth::default())
 }
 
-/// How many objects were missed, and how many answers wrong.
+/// Returns the number of missed objects and of wrong answers.
 fn faults(frame: &MatchedFrame) -> (usize, usize) {
     (frame.missed().count(), frame.wrong.len())
 }
 
-/// The visible parts of all objects, which is what a detector without fault would answer.
+/// Returns the visible parts of all objects, as a perfect detector would answer them.
 fn perfect(group: SceneGroup, seed: u64) -> Vec<Object> {
     let truths = truth_at(&random_scene(group, seed), CAMERA, 0.0).into_iter();
     truths.filter(|truth| truth.object.points > 0).map(|truth| truth.object).collect()
@@ -100,7 +100,7 @@ fn honest_answers_have_honest_ratios() {
     assert!(ratios.iter().all(|ratio| (ratio.abs() - 1.0).abs() < 1e-6));
 }
 
-/// It stands outside of the image here, but a track that another camera sees is there.
+/// The object is outside of the image here, but the track of another camera knows it.
 #[test]
 fn a_track_of_what_cannot_be_seen_here_is_not_wrong() {
     let away = Header { camera: Camera { cx: 2000.0, ..CAMERA }, ..header("standing/3") };
@@ -111,8 +111,8 @@ fn a_track_of_what_cannot_be_seen_here_is_not_wrong() {
     assert_eq!(faults(&evaluation.add(&away, &answers).unwrap().unwrap()), (0, 0));
 }
 
-/// Two balls of which the farther one is 60 % hidden, and a bowl: both balls have to be found, the bowl need not be, and one
-/// ball in the place of both is one that was found.
+/// Two balls, of which the farther one is 60 % hidden, and a bowl: both balls have to be found, the bowl need not be. One answer
+/// in the place of both balls finds one of them.
 #[test]
 fn what_has_to_be_found_is_no_less_than_what_is_seen() {
     const SCENE: &str = r#"
@@ -183,13 +183,13 @@ fn found_off_and_unlisted_are_told_apart() {
     assert!(report.contains("1 answers off (1.00 per frame), 1 about what is not listed (1.00 per frame)"), "{report}");
 }
 
-/// A tin whose handle was not measured, before a carton: the boxes are those of the handle and of the carton behind both.
+/// A tin with an unmeasured handle, in front of a carton: the boxes are those of the handle and of the carton behind both.
 #[test]
 fn what_was_not_measured_counts_neither_way_and_what_is_not_wanted_is_wrong() {
     let boxes = r#", "visible_unmeasured": {"a.pcd": [{"what": "handle", "box": [10, 110, 60, 130]}]},
         "not_wanted": {"a.pcd": [{"what": "carton", "box": [0, 90, 220, 150]}]}}"#;
     let mut evaluation = recording_of(&TRUTH.replace("]}}", &format!("]}}{boxes}")));
-    // seen at u = 160, 28, 107 and 291 of 320
+    // visible at u = 160, 28, 107 and 291 of 320
     let [right, on_handle, on_carton, nowhere] =
         [(0.001, 0.051), (-0.5, 0.01), (-0.2, 0.04), (0.5, 0.04)].map(|(x, radius)| cylinder(x, radius));
     let answers = answers(&[right, on_handle, on_carton, nowhere]);
@@ -212,7 +212,7 @@ fn what_was_not_measured_counts_neither_way_and_what_is_not_wanted_is_wrong() {
     assert!(report.contains("radius 10.0 mm; on what was not measured: handle\n"), "{report}");
 }
 
-/// A box about what was not measured is no place to hide a miss: what has to be found there is missed all the same.
+/// A box around something unmeasured does not hide a miss: an object that has to be found there is missed all the same.
 #[test]
 fn a_miss_in_a_box_is_a_miss() {
     let boxes = r#", "visible_unmeasured": {"a.pcd": [{"what": "inside of the tin", "box": [100, 90, 220, 150]}]}}"#;

@@ -1,5 +1,5 @@
-//! How near a detector comes to what can be known: scatter, bias and reported standard deviations of its answers about one
-//! object that stands still, frame by frame with other noise, beside the bounds of Cramer and Rao ([`crate::bound`]).
+//! Compares a detector with the best possible accuracy: scatter, bias and reported standard deviations of its answers about one
+//! still object, over frames with different noise, beside the Cramer-Rao bounds ([`crate::bound`]).
 
 use super::matching::{Answer, Matcher, compare, perpendicular};
 use super::row::Row;
@@ -12,10 +12,10 @@ use anyhow::{Result, bail};
 use conicflow_messages::{Header, Hinted, Object};
 use nalgebra::{Matrix3, Vector3};
 
-/// Fewer answers tell no scatter: that of so many is known to a quarter.
+/// Least number of answers for a scatter, which is known to a quarter then.
 const FEWEST: u64 = 10;
 
-/// What is told of a quantity, and of how many answers.
+/// The columns of a row about a quantity.
 const COLUMNS: [&str; 14] = [
     "object",
     "quantity",
@@ -33,22 +33,22 @@ const COLUMNS: [&str; 14] = [
     "sigma_over_scatter",
 ];
 
-/// The names of all columns that a row can have.
+/// Returns the names of all columns that a row can have.
 pub fn columns() -> impl Iterator<Item = &'static str> {
     COLUMNS.into_iter()
 }
 
-/// One of the things that are measured.
+/// A quantity that is measured.
 struct Quantity {
     /// Its name and unit.
     name: &'static str,
-    /// In how many of these units one metre or radian is.
+    /// Number of these units in a metre or radian.
     units: f64,
-    /// The bound, where the shape has such a thing.
+    /// The bound, if the shape has the quantity.
     bound: fn(&Bound) -> Option<f64>,
-    /// By how much an answer is off: a number in x, or a vector.
+    /// The error of an answer: a number in x, or a vector.
     error: fn(&Object, &Object) -> Vector3<f64>,
-    /// The variance that the answer tells, of all components together.
+    /// The variance that the answer reports, summed over all components.
     variance: fn(&Object) -> f64,
 }
 
@@ -67,7 +67,7 @@ const QUANTITIES: [Quantity; 4] = [
         name: "position mm",
         units: MILLI,
         bound: |bound| Some(bound.position_m),
-        // of a sphere the axis is zero
+        // the axis of a sphere is zero
         error: |truth, answer| {
             perpendicular(&(Vector3::from(answer.center) - Vector3::from(truth.center)), &Vector3::from(answer.axis))
         },
@@ -95,7 +95,7 @@ const QUANTITIES: [Quantity; 4] = [
     },
 ];
 
-/// Measures objects of a scene in which nothing moves.
+/// Measures the objects of a scene in which nothing moves.
 pub struct Limit {
     truth: RenderedTruth,
     dropout_angle: f64,
@@ -103,7 +103,7 @@ pub struct Limit {
     matcher: Matcher,
     frames: u64,
     wrong: u64,
-    /// All that stands there, in the camera frame.
+    /// All shapes of the scene, in the camera's frame.
     shapes: Vec<Shape>,
     objects: Vec<Sights>,
 }
@@ -124,17 +124,17 @@ struct Sums {
 }
 
 impl Limit {
-    /// A measurement of a sensor that loses points from an angle (radians) between ray and normal on, and whose silhouettes
-    /// scatter by so many pixels; its noise is what the frames tell.
+    /// Creates a measurement for a sensor that loses points beyond an angle (radians) between ray and normal, and whose
+    /// silhouettes scatter by `edge_jitter_px` pixels; the frames give its depth noise.
     pub fn new(truth: RenderedTruth, dropout_angle: f64, edge_jitter_px: f64) -> Self {
         let (matcher, shapes, objects) = (Matcher::default(), Vec::new(), Vec::new());
         Self { truth, dropout_angle, edge_jitter_px, matcher, frames: 0, wrong: 0, shapes, objects }
     }
 
-    /// Takes in the answers to a frame; how many objects were missed.
+    /// Adds the answers to a frame, and returns the number of missed objects.
     ///
     /// # Errors
-    /// The frame shows a scene that is not known, or another than the first: something moves.
+    /// The frame shows an unknown scene, or another scene than the first frame: something moves.
     pub fn add(&mut self, header: &Header, answers: &[Answer]) -> Result<u64> {
         if self.frames == 0 {
             self.look(header)?;
@@ -152,7 +152,7 @@ impl Limit {
         Ok(frame.pairs.iter().filter(|(_, answer)| answer.is_none()).count() as u64)
     }
 
-    /// What is there in the first frame, and how well it could be known.
+    /// Determines the objects in the first frame, and their bounds.
     fn look(&mut self, header: &Header) -> Result<()> {
         let scene = self.truth.scene_of(header)?;
         let time_s = header.stamp_ns as f64 * 1e-9;
@@ -180,7 +180,7 @@ impl Limit {
         Ok(())
     }
 
-    /// One row for each quantity of each object.
+    /// Returns one row for each quantity of each object.
     pub fn rows(&self) -> Vec<Row> {
         self.objects.iter().flat_map(|sights| sights.rows(self.frames, self.wrong)).collect()
     }
@@ -201,7 +201,7 @@ impl Sights {
         quantities.map(|(quantity, sums)| self.row(quantity, sums, frames, wrong)).collect()
     }
 
-    /// Whether the shape has such a thing.
+    /// Whether the shape has the quantity.
     fn has(&self, quantity: &Quantity) -> bool {
         match quantity.name {
             "axis deg" => self.truth.body.shape().has_axis(),
@@ -219,7 +219,7 @@ impl Sights {
         let enough = if self.found < FEWEST { f64::NAN } else { quantity.units };
         let scatter = sums.error.iter().map(RunningStats::variance).sum::<f64>().sqrt() * enough;
         let mean = Vector3::from(sums.error.map(|sum| sum.mean())) * enough;
-        // a vector's has no sign
+        // the bias of a vector has no sign
         let bias = if mean.yz() == nalgebra::Vector2::zeros() { mean.x } else { mean.norm() };
         let sigma = sums.variance.mean().sqrt() * enough;
         let [found, wrong] = [self.found, wrong].map(|count| count as f64 / frames as f64);
@@ -283,7 +283,7 @@ mod tests {
     }
 
     /// Answers that scatter by 2 mm in radius, 1 mm in each direction and 0.02 in each tilt about errors of 3 mm and 0.01, and
-    /// that claim to scatter twice as much.
+    /// that report twice the scatter.
     #[test]
     fn scatter_bias_and_sigma_are_those_of_the_answers() {
         let (mut limit, header) = limit_of(SCENE);
@@ -336,7 +336,7 @@ mod tests {
         assert!(rows.iter().all(|row| row.0.iter().all(|(column, _)| columns().any(|known| known == column))));
     }
 
-    /// Ten answers whose radii are 3 mm too small, by 1 mm more or less, and whose centres are 5 mm off.
+    /// Ten answers whose radii are 3 mm too small on average, with a scatter of 1 mm, and whose centres are 5 mm off.
     #[test]
     fn each_object_has_what_its_shape_has_and_a_number_that_is_too_small_has_a_negative_bias() {
         let (head, wall) = SCENE.split_once("[[cone]]").unwrap();
@@ -389,7 +389,7 @@ mod tests {
         assert!(row.number_of("bound_a").is_some());
     }
 
-    /// A ball that has moved to the place of another by the second second is known as well as that one.
+    /// A ball that moves has the same bound as one that stands where it is at the time of the frame.
     #[test]
     fn the_bounds_are_those_of_the_time_of_the_frame() {
         let (head, _) = SCENE.split_once("[[cone]]").unwrap();

@@ -1,11 +1,11 @@
-//! Which answer is right about which true object: the one rule by which everything is scored.
+//! Matches answers with true objects: the one rule by which everything is scored.
 //!
-//! An answer is right if its shape is the true one (or another that is allowed) and position, radius, axis and half-angle are
-//! within the tolerance: of a sphere the distance of the centres; else the distance of the true middle from the answer's axis,
-//! and the radii there. Along the axis only a part may be seen: there one has to reach to the middle of the other. Pairs are taken
-//! one to one. The identity that an object had stays with it where it is still right, as CLEAR-MOT has it (Bernardin and
-//! Stiefelhagen 2008); then objects that have to be found go before those that need not, as a label before the glass that it
-//! sticks to; then the nearest pair goes first.
+//! An answer is right if its shape is the true one (or another allowed one) and position, radius, axis and half-angle are within
+//! the tolerances. The position error of a sphere is the distance of the centres; else it is the distance of the true middle from
+//! the answer's axis, where the radii are compared, too. Only a part may be visible along the axis: there, one of the two has to
+//! reach to the middle of the other. Pairs are taken one to one. An object keeps its identity as long as that is right, as in
+//! CLEAR-MOT (Bernardin and Stiefelhagen 2008). Then objects that have to be found go before the others, for example a label
+//! before the glass that it sticks to. Then the nearest pair goes first.
 
 use super::truth::{Tolerance, TrueObject};
 use conicflow_messages::{Header, Item, Object, Track, TrackState};
@@ -13,7 +13,7 @@ use nalgebra::Vector3;
 use serde_json::json;
 use std::collections::BTreeMap;
 
-/// What a detector or a tracker says of a frame: an object is there.
+/// An answer of a detector or tracker about a frame: an object is there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Answer {
     /// The object, in the camera frame.
@@ -26,7 +26,7 @@ pub struct Answer {
 
 /// An item that may claim that an object is there.
 pub trait Claim: Item {
-    /// The claim, if it is meant.
+    /// Returns the claim, if the item makes one.
     fn answer(&self) -> Option<Answer>;
 }
 
@@ -37,7 +37,7 @@ impl Claim for Object {
 }
 
 impl Claim for Track {
-    /// A track that is tentative or coasting does not say that it is seen in this frame.
+    /// A tentative or coasting track does not claim to see the object in this frame.
     fn answer(&self) -> Option<Answer> {
         if self.track_state() != TrackState::Confirmed {
             return None;
@@ -46,23 +46,23 @@ impl Claim for Track {
     }
 }
 
-/// What an answer and a true object have to do with each other.
+/// The comparison of an answer with a true object.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Comparison {
     /// Distance in metres: of the centres of spheres, else of the true middle from the answer's axis.
     pub position_m: f64,
-    /// Radius of the answer, of a cone at the true middle.
+    /// Radius of the answer; of a cone, at the true middle.
     pub radius_m: f64,
-    /// Angle between the axes, in radians; 0 of spheres.
+    /// Angle between the axes, in radians; 0 for spheres.
     pub axis: f64,
     /// Half-angle of the answer minus the true one, in radians.
     pub half_angle: f64,
 }
 
-/// Why an answer is not right about an object, the mildest reason first.
+/// The reason why an answer is wrong about an object, the mildest first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Fault {
-    /// It is right, but another answer was nearer.
+    /// It is right, but another answer is nearer.
     Second,
     /// The half-angle is off.
     HalfAngle,
@@ -70,7 +70,7 @@ pub enum Fault {
     Radius,
     /// The axis is off.
     Axis,
-    /// Another shape is there.
+    /// An object of another shape is there.
     Shape,
     /// An object is there, but its middle is elsewhere.
     Position,
@@ -79,7 +79,7 @@ pub enum Fault {
 }
 
 impl Fault {
-    /// The words for it.
+    /// Returns the name of the fault.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Second => "second answer",
@@ -93,13 +93,13 @@ impl Fault {
     }
 }
 
-/// Radius of an object at the foot of a point on its axis.
+/// Returns the radius of an object at the foot of a point on its axis.
 pub fn radius_at(object: &Object, point: &Vector3<f64>) -> f64 {
     let along = (point - Vector3::from(object.center)).dot(&Vector3::from(object.axis));
     object.radius + along * object.half_angle.tan()
 }
 
-/// The part of an offset that is perpendicular to a unit vector.
+/// Returns the part of an offset that is perpendicular to a unit vector.
 pub fn perpendicular(offset: &Vector3<f64>, axis: &Vector3<f64>) -> Vector3<f64> {
     offset - axis * offset.dot(axis)
 }
@@ -109,7 +109,7 @@ pub fn compare(truth: &Object, answer: &Object) -> Comparison {
     let (middle, center) = (Vector3::from(truth.center), Vector3::from(answer.center));
     let (true_axis, axis) = (Vector3::from(truth.axis), Vector3::from(answer.axis));
     let cosine = true_axis.dot(&axis);
-    // the axis of a cone has a sense, that of a cylinder has none
+    // the axis of a cone has a direction, that of a cylinder does not
     let both_cones = truth.shape().has_half_angle() && answer.shape().has_half_angle();
     let cosine = if both_cones { cosine } else { cosine.abs() };
     let sine = true_axis.cross(&axis).norm();
@@ -121,14 +121,14 @@ pub fn compare(truth: &Object, answer: &Object) -> Comparison {
     }
 }
 
-/// Why an answer is not right about a true object; `None`: it is right.
+/// Returns why an answer is wrong about a true object; `None` if it is right.
 pub fn fault(truth: &TrueObject, answer: &Object) -> Option<Fault> {
     let Tolerance { shapes, position_m, radius_m: [least, most], axis, half_angle } = truth.tolerance;
     let comparison = compare(&truth.body, answer);
     let wrong_shape = !shapes.contains(&answer.shape());
-    // another shape that is allowed has another half-angle
+    // other allowed shapes have other half-angles
     let same_shape = answer.shape() == truth.body.shape();
-    // Of what only has to be seen the ends are not known well.
+    // The ends of an object that was not measured well are not known.
     let is_beyond = truth.measured && is_beyond_end(&truth.body, answer);
     if wrong_shape || comparison.position_m >= position_m || is_beyond {
         let fault = if wrong_shape { Fault::Shape } else { Fault::Position };
@@ -144,8 +144,8 @@ pub fn fault(truth: &TrueObject, answer: &Object) -> Option<Fault> {
     }
 }
 
-/// Whether neither of two bodies reaches to the middle of the other along the true axis. The middle of the part that is seen lies
-/// within the whole; where two cans stand on each other, each only reaches to the end of the other. A sphere has no such place.
+/// Whether neither of two bodies reaches to the middle of the other along the true axis. The middle of a visible part lies within
+/// the whole object; of two cans on each other, each only reaches to the end of the other. Never true for spheres.
 fn is_beyond_end(truth: &Object, answer: &Object) -> bool {
     let axis = Vector3::from(truth.axis);
     let along = (Vector3::from(answer.center) - Vector3::from(truth.center)).dot(&axis).abs();
@@ -166,22 +166,22 @@ pub fn is_near(truth: &Object, answer: &Object) -> bool {
 /// A frame whose answers and true objects are matched.
 #[derive(Clone, Debug)]
 pub struct MatchedFrame {
-    /// Each true object with the answer that is right about it.
+    /// Each true object with the right answer about it, if there is one.
     pub pairs: Vec<(TrueObject, Option<Answer>)>,
-    /// The answers that are right about nothing, and what is wrong as compared with the object that each comes nearest to.
+    /// The wrong answers, with the mildest fault compared with any true object.
     pub wrong: Vec<(Object, Fault)>,
-    /// The answers about what nobody measured, and what that is: they are neither right nor wrong.
+    /// Answers at something unmeasured, with its name: they are neither right nor wrong.
     pub neither: Vec<(Object, String)>,
 }
 
-/// Matches answers and true objects, and remembers the identity that each object had.
+/// Matches answers with true objects, and remembers the identity of each object.
 #[derive(Clone, Debug, Default)]
 pub struct Matcher {
     identities: BTreeMap<String, u64>,
 }
 
 impl Matcher {
-    /// Matches the answers to a frame with what is there.
+    /// Matches the answers to a frame with the true objects.
     pub fn match_up(&mut self, truths: Vec<TrueObject>, answers: &[Answer]) -> MatchedFrame {
         let mut right = Vec::new();
         for (index, truth) in truths.iter().enumerate() {
@@ -207,7 +207,7 @@ impl Matcher {
     }
 }
 
-/// Pairs of places in two lists, no place twice: of all these the one of the least rank goes first, then the nearest.
+/// Selects pairs of indices in two lists so that no index occurs twice: the least rank first, then the nearest.
 pub(super) fn one_to_one<R: Ord>(mut pairs: Vec<(R, f64, usize, usize)>) -> Vec<(usize, usize)> {
     pairs.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then((a.2, a.3).cmp(&(b.2, b.3))));
     let mut taken: Vec<(usize, usize)> = Vec::new();
@@ -219,14 +219,14 @@ pub(super) fn one_to_one<R: Ord>(mut pairs: Vec<(R, f64, usize, usize)>) -> Vec<
     taken
 }
 
-/// What is wrong with an answer as compared with the object that it comes nearest to.
+/// Returns the mildest fault of an answer compared with any true object.
 fn mildest_fault(truths: &[TrueObject], answer: &Object) -> Fault {
     let faults = truths.iter().map(|truth| fault(truth, answer).unwrap_or(Fault::Second));
     faults.min().unwrap_or(Fault::NothingThere)
 }
 
 impl MatchedFrame {
-    /// Counts those wrong answers neither way whose place shows something that nobody measured, which `unmeasured` names.
+    /// Moves wrong answers from `wrong` to `neither` if they are at something unmeasured, which `unmeasured` names.
     pub fn excuse<'a>(&mut self, unmeasured: impl Fn(&Object) -> Option<&'a str>) {
         self.wrong.retain(|(object, _)| {
             let what = unmeasured(object);
@@ -235,12 +235,12 @@ impl MatchedFrame {
         });
     }
 
-    /// The objects that had to be found and were not.
+    /// Returns the objects that had to be found and were not.
     pub fn missed(&self) -> impl Iterator<Item = &TrueObject> {
         self.pairs.iter().filter(|(truth, answer)| truth.required && answer.is_none()).map(|(truth, _)| truth)
     }
 
-    /// What was missed and what was wrong, as one object of JSON.
+    /// Returns the missed objects and the wrong answers as a JSON object.
     pub fn details(&self, header: &Header) -> serde_json::Value {
         let tell = |object: &Object| {
             json!({
@@ -290,12 +290,12 @@ pub(super) mod tests {
         }
     }
 
-    /// The answers of a detector that says these objects.
+    /// The answers of a detector that finds these objects.
     pub fn answers(objects: &[Object]) -> Vec<Answer> {
         objects.iter().filter_map(Claim::answer).collect()
     }
 
-    /// Where the answers are that are right about each object, and those that are wrong.
+    /// Returns the positions of the right answer about each object, and of the wrong answers.
     fn places(frame: &MatchedFrame) -> (Vec<Option<f64>>, Vec<(f64, Fault)>) {
         let right = frame.pairs.iter().map(|(_, answer)| Some(answer.as_ref()?.object.center[0]));
         (right.collect(), frame.wrong.iter().map(|(object, fault)| (object.center[0], *fault)).collect())
@@ -339,7 +339,8 @@ pub(super) mod tests {
         }
     }
 
-    /// A bowl may be called a cone; what a sphere has not, half-angle and axis, is not compared, but place and radius are.
+    /// A bowl may be called a cone. Half-angle and axis, which a sphere does not have, are not compared, but position and radius
+    /// are.
     #[test]
     fn another_shape_that_is_allowed_is_right_where_place_and_radius_are() {
         let mut bowl = expected(sphere(0.0));
@@ -397,7 +398,7 @@ pub(super) mod tests {
         assert_eq!(fault(&presence, &can(0.1, 0.2)), None, "where it ends is not known well");
     }
 
-    /// Within 5 cm of its side, where it is widest, and of its ends.
+    /// Within 5 cm of its side at the widest place, and of its ends.
     #[test]
     fn near_an_object_is_what_lies_within_it_or_next_to_it() {
         for (aside, along, expected) in [

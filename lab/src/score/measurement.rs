@@ -1,6 +1,5 @@
-//! Measures what was found of each true object of a rendered scene, in mean and standard deviation, and how well identities
-//! were kept. Each object gives one row of figures. Of recorded frames nobody knows the truth here: of them each track, or each
-//! shape, gives a row.
+//! Measures what was found of each true object of a rendered scene, by mean and standard deviation, and how well identities were
+//! kept. Each object gives one row. For recorded frames no truth is known here: each track, or each shape, gives a row.
 
 use super::matching::{Answer, Matcher};
 use super::object_stats::{ObjectStats, all, tell_faults};
@@ -16,9 +15,9 @@ pub struct Measurement {
     truth: RenderedTruth,
     from_s: f64,
     matcher: Matcher,
-    /// By their names, in the order of their first frames.
+    /// By name, in the order of their first frames.
     objects: IndexMap<String, ObjectStats>,
-    /// Answers that were about nothing.
+    /// Number of answers that match no object.
     wrong: u64,
     recording: Option<Recording>,
 }
@@ -30,15 +29,16 @@ struct Recording {
 }
 
 impl Measurement {
-    /// A measurement that leaves out the frames before `from_s`: simulated time, of recorded frames since the first.
+    /// Creates a measurement that leaves out the frames before `from_s`: in simulated time, or for recorded frames since the
+    /// first.
     pub fn new(truth: RenderedTruth, from_s: f64) -> Self {
         Self { truth, from_s, matcher: Matcher::default(), objects: IndexMap::new(), wrong: 0, recording: None }
     }
 
-    /// Takes in the answers to a frame; what was seen of each true object that had to be.
+    /// Adds the answers to a frame, and returns an observation of each true object that had to be found.
     ///
     /// # Errors
-    /// The frame shows a scene that is not known.
+    /// The frame shows an unknown scene.
     pub fn add(&mut self, header: &Header, answers: &[Answer]) -> Result<Vec<Observation>> {
         let time_s = header.stamp_ns as f64 * 1e-9;
         if header.is_recorded() {
@@ -81,8 +81,8 @@ impl Measurement {
         self.objects.entry(name.to_owned()).or_insert_with(|| ObjectStats::new(name))
     }
 
-    /// One row for each object that was there, in the order of their first frames; of several one more for all, of one it tells
-    /// what is told of all. Of recorded frames one for each track, or each shape.
+    /// Returns one row for each object, in the order of their first frames. With several objects, one more row is about all; with
+    /// one, its row has these columns, too. For recorded frames, returns one row for each track, or each shape.
     pub fn rows(&self) -> Vec<Row> {
         if let Some(Recording { frames, .. }) = self.recording {
             return self.objects.values().map(|object| object.row_of_recording(frames)).collect();

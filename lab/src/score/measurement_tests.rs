@@ -1,4 +1,4 @@
-//! Measurements of a scene whose answers are made up.
+//! Measurements of a scene with made-up answers.
 
 use super::*;
 use crate::simulator::scene_values::SceneTemplate;
@@ -25,7 +25,7 @@ fn header(time_s: f64) -> Header {
     Header { camera, stamp_ns: (time_s * 1e9) as u64, source: Text::new("two balls"), ..Header::default() }
 }
 
-/// In the camera frame: x right, y down, z forward.
+/// A ball in the camera frame: x right, y down, z forward.
 fn ball(x: f64, radius: f64) -> Object {
     Object { kind: ObjectKind::Sphere.code(), center: [x, 0.0, 2.0], radius, ..Object::default() }
 }
@@ -38,7 +38,7 @@ fn answer(claim: impl Claim) -> Answer {
     claim.answer().unwrap()
 }
 
-/// What a `measurement_sink` asks for by default.
+/// The default criteria of a `measurement_sink`.
 fn truth(scene: Option<SceneTemplate>) -> RenderedTruth {
     let required =
         VisibilityCriteria { max_hidden: 0.95, min_extent_px: 4, min_arc_deg: 5.0, min_view_angle_deg: 10.0 };
@@ -105,7 +105,7 @@ fn what_is_wrong_is_told_of_one_object_too() {
     assert_eq!((rows.len(), numbers), (1, [Some(1.0), Some(1.0), Some(0.0)]));
 }
 
-/// It leaves the image at 5 m/s, and comes back.
+/// The ball leaves the image at 5 m/s, and comes back.
 #[test]
 fn a_speed_is_that_since_the_frame_before_though_it_could_not_be_seen_there() {
     let path = "motion.path = { points = [{ t_s = 0, offset = [0, 0, 0] }, { t_s = 1, offset = [-5, 0, 0] },

@@ -1,11 +1,11 @@
-//! The scorer: what is really there, what a detector or a tracker answered, and how good that is.
+//! The scorer: compares the answers of a detector or tracker with the truth.
 //!
-//! In the order of the way: what is there and what is owed to it ([`truth`], [`recorded`]); which answer is right about what
-//! ([`matching`]); how its errors compare with its standard deviations ([`sigmas`]). An [`evaluation`] counts that and tells it
-//! in tables, in notes on a recording, and in one row, the [`summary`]. A [`measurement`] takes an [`observation`] of each
-//! object from each frame, sums these up and gives each object a [`row`] of figures; [`sections`] do so for ellipses, and a
-//! [`trace`] keeps each observation. A [`limit`] holds the scatter of an object's answers against the least that is possible.
-//! [`pairing`] holds two answers to a frame against each other where there is no truth.
+//! In the order of the data: the true objects and which of them have to be found ([`truth`], [`recorded`]); the matching of
+//! answers with them ([`matching`]); errors in units of standard deviations ([`sigmas`]). An [`evaluation`] counts these and
+//! reports them in tables, in notes on a recording, and in one row, the [`summary`]. A [`measurement`] takes an [`observation`]
+//! of each object from each frame, sums these up and gives each object a [`row`] of figures. [`sections`] do so for ellipses, and
+//! a [`trace`] keeps each observation. A [`limit`] compares the scatter of an object's answers with the least possible one.
+//! [`pairing`] compares two answers to a frame without a truth.
 
 pub mod evaluation;
 pub mod limit;

@@ -1,4 +1,4 @@
-//! What was found in a recording, what was off, and what nobody listed, frame by frame, to be looked at; and the sums.
+//! Notes on a recording, frame by frame: what was found, what was off, and what is not in the truth file; and the sums.
 
 use super::matching::{Comparison, Fault, MatchedFrame, compare, fault};
 use super::recorded::{RecordedTruth, file_name};
@@ -13,24 +13,24 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Notes on a recording.
 #[derive(Clone, Debug, Default)]
 pub struct Notes {
-    /// Number of frames whose truth is not known, and the name of the first of them.
+    /// Number of frames without a known truth, and the name of the first one.
     unjudged: u64,
     stranger: Option<String>,
-    /// The names of the frames that came and are judged.
+    /// The names of the judged frames.
     judged: BTreeSet<String>,
-    /// Radii of the right answers, of cones at the true middle, by the object's name.
+    /// Radii of the right answers by the object's name; those of cones at the true middle.
     radii: BTreeMap<String, RunningStats>,
     text: String,
 }
 
 impl Notes {
-    /// Counts a frame whose truth is not known.
+    /// Counts a frame without a known truth.
     pub fn add_unjudged(&mut self, source: &str) {
         self.unjudged += 1;
         self.stranger.get_or_insert_with(|| source.to_owned());
     }
 
-    /// Notes what came of a frame; `not_wanted` tells what an answer sits on that is no right one.
+    /// Notes the result of a frame; `not_wanted` names what a wrong answer is on.
     pub fn add<'a>(&mut self, source: &str, frame: &MatchedFrame, not_wanted: impl Fn(&Object) -> Option<&'a str>) {
         self.text += &format!("{}\n", source.escape_debug());
         self.judged.insert(file_name(source).to_owned());
@@ -58,10 +58,10 @@ impl Notes {
         }
     }
 
-    /// The notes and the sums.
+    /// Returns the notes and the sums.
     ///
     /// # Errors
-    /// Frames came, and the truth file has none of them.
+    /// There were frames, but none of them is in the truth file.
     pub fn report(&self, score: &Score, truth: &RecordedTruth) -> Result<String> {
         if let (Some(stranger), 0) = (&self.stranger, score.frames) {
             bail!(Hinted::new(
@@ -87,20 +87,20 @@ impl Notes {
     }
 }
 
-/// How an answer differs from the truth.
+/// Describes how an answer differs from the truth.
 fn differences(truth: &TrueObject, answer: &Object) -> String {
     let Comparison { position_m, radius_m, axis, .. } = compare(&truth.body, answer);
     let (radius, position, axis) = (1e3 * (radius_m - truth.body.radius), 1e3 * position_m, axis.to_degrees());
     format!("radius {radius:+.1} mm, position {position:.1} mm, axis {axis:.1} deg")
 }
 
-/// Kind, place and radius of an object.
+/// Describes kind, position and radius of an object.
 fn told(object: &Object) -> String {
     let Object { center: [x, y, z], radius, .. } = object;
     format!("{} at ({x:.3}, {y:.3}, {z:.3}) m, radius {:.1} mm", object.shape().name(), 1e3 * radius)
 }
 
-/// A wrong answer, and what it is wrong about: what is listed there, or nothing; and what it sits on that is not wanted.
+/// Describes a wrong answer: the true object that it is wrong about, if there is one, and the unwanted thing that it is on.
 fn wrong(about: Option<&TrueObject>, answer: &Object, worst: Fault, not_wanted: Option<&str>) -> String {
     let told = told(answer) + &not_wanted.map_or_else(String::new, |what| format!(", on {what}"));
     match about.filter(|_| worst != Fault::NothingThere) {
@@ -157,7 +157,7 @@ mod tests {
         TrueObject { name: name.to_owned(), body, hidden: 0.0, required, measured: true, tolerance }
     }
 
-    /// An answer 3 mm beside that object, whose axis leans by two degrees.
+    /// Returns an answer 3 mm beside that object, whose axis leans by two degrees.
     fn beside(object: Object) -> Object {
         let (sine, cosine) = 2_f64.to_radians().sin_cos();
         Object { center: [0.003, 0.0, 1.0], axis: [0.0, cosine, sine], ..object }
@@ -215,7 +215,7 @@ mod tests {
         assert!(told.contains(medians), "{told}");
     }
 
-    /// Seen 2 cm lower, where it is 2 mm wider.
+    /// The answer is 2 cm lower, where the cone is 2 mm wider.
     #[test]
     fn the_radius_of_a_cone_is_that_at_its_true_middle() {
         let cone = Object { kind: ObjectKind::Cone.code(), half_angle: 0.1_f64.atan(), ..tin(0.05) };

@@ -1,4 +1,4 @@
-//! What the frames say of one object, summed up.
+//! Sums over the observations of one object.
 
 use super::matching::perpendicular;
 use super::observation::{Observation, State};
@@ -8,19 +8,19 @@ use crate::running_stats::RunningStats;
 use nalgebra::Vector3;
 use std::collections::BTreeSet;
 
-/// Distance between where an object is and where it was seen, in metres.
+/// Distance between the true and the observed position of an object, in metres.
 fn error_m(observation: &Observation) -> Option<f64> {
     Some((observation.seen?.state.position - observation.truth?.position).norm())
 }
 
-/// Angle between the axis as it is and as it was seen, in radians; 0 where one has no direction.
+/// Angle between the true and the observed axis, in radians; 0 if one has no axis.
 fn axis_error(observation: &Observation) -> Option<f64> {
     let (truth, seen) = (observation.truth?.axis, observation.seen?.state.axis);
     let (sine, cosine) = (truth.cross(&seen).norm(), truth.dot(&seen).abs());
     if sine == 0.0 { Some(0.0) } else { Some(sine.atan2(cosine)) }
 }
 
-/// The truth of what was seen: means of both are over the same frames.
+/// The truth, if the object was found: the means of both are over the same frames.
 fn truth_of_seen(observation: &Observation) -> Option<State> {
     observation.seen.and(observation.truth)
 }
@@ -47,7 +47,7 @@ const FIGURES: &[Column<Observation>] = &[
     Column("center_sigmas", RootMean, |it| squared(it.seen?.sigmas.center)),
 ];
 
-/// The names of all columns that a row of an object, or of all of them, can have.
+/// Returns the names of all columns that a row of an object, or of all of them, can have.
 pub fn columns() -> impl Iterator<Item = &'static str> {
     let figures = FIGURES.iter().map(|Column(name, ..)| *name);
     let counts = ["identities", "switches", "wrong", "mota", "motp_m"];
@@ -68,7 +68,7 @@ pub struct ObjectStats {
     last_id: Option<u64>,
 }
 
-/// The frame before.
+/// The previous frame.
 #[derive(Clone, Copy)]
 struct Last {
     time_s: f64,
@@ -77,7 +77,7 @@ struct Last {
 }
 
 impl ObjectStats {
-    /// An object that was not seen yet.
+    /// Creates sums for an object without observations.
     pub fn new(name: &str) -> Self {
         Self {
             name: name.to_owned(),
@@ -92,7 +92,7 @@ impl ObjectStats {
         }
     }
 
-    /// Takes in one frame, and tells it the speeds since the frame before.
+    /// Adds a frame, after setting the speeds since the previous one.
     pub fn add(&mut self, observation: &mut Observation) {
         self.tell_speeds(observation);
         self.sums.add(observation);
@@ -110,7 +110,7 @@ impl ObjectStats {
         self.pass(observation);
     }
 
-    /// Takes in where the object is in a frame in which it need not be found: the next speed is that since then.
+    /// Notes the position of the object in a frame in which it need not be found: the next speed is the one since then.
     pub fn pass(&mut self, observation: &Observation) {
         let Observation { time_s, truth, seen, .. } = *observation;
         if let Some(truth) = truth {
@@ -118,12 +118,12 @@ impl ObjectStats {
         }
     }
 
-    /// Speeds: as a track states them, else the way since the frame before over the time, across the axis.
+    /// Sets the speeds: as a track reports them, or else the distance since the previous frame over the time, across the axis.
     fn tell_speeds(&self, observation: &mut Observation) {
         let (Some(last), Some(truth)) = (self.last, observation.truth) else { return };
         let (dt, seen) = (observation.time_s - last.time_s, observation.seen);
         let speed = |from: Vector3<f64>, to: Vector3<f64>| perpendicular(&(to - from), &truth.axis).norm() / dt;
-        // frames of one time tell no speed
+        // no speed between frames of the same time
         if dt > 0.0 {
             observation.true_speed_mps = Some(speed(last.truth, truth.position));
             observation.speed_mps = last.seen.zip(seen).map(|(from, seen)| speed(from, seen.state.position));
@@ -131,7 +131,7 @@ impl ObjectStats {
         observation.speed_mps = seen.and_then(|seen| seen.stated_speed_mps).or(observation.speed_mps);
     }
 
-    /// The figures of the object.
+    /// Returns the figures of the object.
     pub fn row(&self) -> Row {
         let mut row = self.row_of_recording(self.frames);
         row.count("identities", self.identities.len() as u64);
@@ -139,7 +139,7 @@ impl ObjectStats {
         row
     }
 
-    /// The figures of an object that was seen in so many recorded frames.
+    /// Returns the figures of an object that was seen in a recording of this many frames.
     pub fn row_of_recording(&self, frames: u64) -> Row {
         let mut row = Row::about(&self.name, frames, self.found);
         self.sums.write(&mut row);
@@ -147,15 +147,15 @@ impl ObjectStats {
     }
 }
 
-/// The mean over the sights of all objects.
+/// Returns the mean over the observations of all objects.
 fn pooled<'a>(objects: impl Iterator<Item = &'a ObjectStats>, of: impl Fn(&ObjectStats) -> RunningStats) -> f64 {
     let known: Vec<_> = objects.map(of).filter(|sum| sum.count() > 0).collect();
     let sum: f64 = known.iter().map(|sum| sum.mean() * sum.count() as f64).sum();
     sum / known.iter().map(RunningStats::count).sum::<u64>() as f64
 }
 
-/// Adds what is told of all objects alone; so many answers were about nothing. CLEAR-MOT:
-/// `MOTA = 1 - (missed + wrong + switches) / objects`, MOTP is the mean distance of what was found.
+/// Adds the columns that exist only for all objects; `wrong` is the number of answers that match no object. CLEAR-MOT: `MOTA = 1
+/// - (missed + wrong + switches) / objects`, and MOTP is the mean distance of the found objects.
 pub fn tell_faults<'a>(row: &mut Row, objects: impl Iterator<Item = &'a ObjectStats> + Clone, wrong: u64) {
     let sum = |count: fn(&ObjectStats) -> u64| objects.clone().map(count).sum::<u64>();
     let (frames, found) = (sum(|object| object.frames), sum(|object| object.found));
@@ -165,7 +165,7 @@ pub fn tell_faults<'a>(row: &mut Row, objects: impl Iterator<Item = &'a ObjectSt
     row.number("motp_m", pooled(objects, |object| object.error));
 }
 
-/// The row of all objects; so many answers were about nothing.
+/// Returns the row about all objects; `wrong` is the number of answers that match no object.
 pub fn all<'a>(objects: impl Iterator<Item = &'a ObjectStats> + Clone, wrong: u64) -> Row {
     let sum = |count: fn(&ObjectStats) -> u64| objects.clone().map(count).sum::<u64>();
     let mut row = Row::about("all", sum(|object| object.frames), sum(|object| object.found));
@@ -224,7 +224,7 @@ mod tests {
         assert!((ball.row().number_of("speed_true_mps").unwrap() - 0.2).abs() < 1e-12, "{:?}", ball.row());
     }
 
-    /// It goes away while it is not seen, and faster.
+    /// The object moves away, and faster, while it is not found.
     #[test]
     fn the_truth_is_told_of_the_frames_in_which_it_was_seen() {
         let mut ball = ObjectStats::new("ball");

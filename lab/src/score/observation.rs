@@ -1,4 +1,4 @@
-//! What one frame says of one object: the sample that a measurement sums up.
+//! The observation of one object in one frame: the sample that a measurement sums up.
 
 use super::matching::{Answer, perpendicular, radius_at};
 use super::sigmas::Sigmas;
@@ -7,33 +7,33 @@ use conicflow_detection::camera::isometry;
 use conicflow_messages::{Header, Object};
 use nalgebra::{IsometryMatrix3, Point3, Vector3};
 
-/// An object in one frame, in the world frame, with what was seen of it.
+/// An object in one frame, in the world frame, and what was found of it.
 #[derive(Clone, Debug, Default)]
 pub struct Observation {
     /// Time of the frame in seconds.
     pub time_s: f64,
-    /// Place of the camera, in metres.
+    /// Position of the camera, in metres.
     pub camera: Vector3<f64>,
     /// Name of the object.
     pub name: String,
-    /// The truth, where it is known.
+    /// The truth, if it is known.
     pub truth: Option<State>,
-    /// What was seen, if it was.
+    /// The answer about it, if there is one.
     pub seen: Option<Sighting>,
     /// True speed across its axis since the frame before, in m/s.
     pub true_speed_mps: Option<f64>,
-    /// The speed that was measured.
+    /// The measured speed, in m/s.
     pub speed_mps: Option<f64>,
 }
 
-/// An object as measured or as it is.
+/// A measured or true state of an object.
 #[derive(Clone, Copy, Debug)]
 pub struct State {
-    /// Centre of a sphere, else the point of the axis that is nearest to the true middle, in metres.
+    /// Centre of a sphere, else the point of the axis nearest to the true middle, in metres.
     pub position: Vector3<f64>,
     /// Distance from the camera to the centre of a sphere, else to the axis, in metres.
     pub distance_m: f64,
-    /// Radius in metres; of a cone at the true middle.
+    /// Radius in metres; of a cone, at the true middle.
     pub radius_m: f64,
     /// Half-angle of a cone, in radians.
     pub half_angle: f64,
@@ -41,21 +41,21 @@ pub struct State {
     pub axis: Vector3<f64>,
 }
 
-/// What was seen of an object.
+/// The answer about an object.
 #[derive(Clone, Copy, Debug)]
 pub struct Sighting {
     /// Its state.
     pub state: State,
     /// Identity of the track.
     pub id: Option<u64>,
-    /// Speed that a track states, across its axis, in m/s.
+    /// Speed that a track reports, across its axis, in m/s.
     pub stated_speed_mps: Option<f64>,
-    /// Errors in units of the standard deviations that came with them.
+    /// Errors in units of the reported standard deviations.
     pub sigmas: Sigmas,
 }
 
 impl Observation {
-    /// The answer to a true object, both in the camera frame.
+    /// Creates the observation from an answer to a true object, both in the camera frame.
     pub fn new(
         time_s: f64,
         truth: &TrueObject,
@@ -73,7 +73,7 @@ impl Observation {
         Self { time_s, camera, name, truth: Some(state(&truth.body)), seen, ..Self::default() }
     }
 
-    /// An answer about something of which nobody knows the truth; tracks are told apart by their identities.
+    /// Creates the observation from an answer without a known truth; the name of a track has its identity.
     pub fn without_truth(time_s: f64, answer: &Answer) -> Self {
         let Answer { object, id, .. } = answer;
         let kind = object.shape().name();
@@ -103,7 +103,7 @@ fn axis(object: &Object) -> Vector3<f64> {
     if object.shape().has_axis() { object.axis.into() } else { Vector3::zeros() }
 }
 
-/// The pose of a header's camera; that of the world where it tells none.
+/// Returns the pose of a header's camera; the identity if it has none.
 pub fn world_from_camera(header: &Header) -> IsometryMatrix3<f64> {
     header.pose().map_or_else(IsometryMatrix3::identity, isometry)
 }
@@ -114,7 +114,7 @@ mod tests {
     use super::*;
     use conicflow_messages::HAS_POSE;
 
-    /// The camera's x is the world's y, and its y points against the world's x.
+    /// The header of a camera whose x is the world's y, and whose y is opposite to the world's x.
     fn turned() -> Header {
         let world_from_camera = [[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, 4.0], [0.0, 0.0, 1.0, 5.0]];
         Header { flags: HAS_POSE, world_from_camera, ..Header::default() }

@@ -1,39 +1,38 @@
-//! Which objects of two answers to the same frame are the same thing, so that two variants of a detector can be compared where
-//! nobody knows the truth.
+//! Pairs the objects of two answers to the same frame, so that two variants of a detector can be compared without a truth.
 //!
-//! Two objects are the same thing if the middle of one lies within the other, or next to it, and neither is more than twice as
-//! wide: whether they agree is for their differences to tell. Pairs are taken one to one. Those of one kind go before those of
-//! two, then the nearest pair goes first.
+//! Two objects are paired if the middle of one lies within the other, or next to it, and neither is more than twice as wide;
+//! their differences say how well they agree. Pairs are taken one to one. Pairs of one kind go before those of two, then the
+//! nearest pair goes first.
 
 use super::matching::{Comparison, compare, is_near, one_to_one};
 use conicflow_messages::Object;
 
-/// Wider than so many times the other is another thing: a ball before a wall is not the wall.
+/// Largest ratio of the widths of a pair: a ball in front of a wall is not the wall.
 const WIDEST: f64 = 2.0;
 
-/// What two answers to one frame have in common, by their numbers in the lists.
+/// The pairing of two answers to one frame, by index in their lists.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Paired {
-    /// What both have.
+    /// Objects in both lists.
     pub both: Vec<(usize, usize)>,
-    /// What only the first has.
+    /// Objects only in the first list.
     pub only_a: Vec<usize>,
-    /// What only the second has.
+    /// Objects only in the second list.
     pub only_b: Vec<usize>,
 }
 
-/// How the second object differs from the first, of the same kind.
+/// The difference of a second object from a first one of the same kind.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Difference {
     /// Distance in metres: of the centres of spheres, else of the first's middle from the second's axis.
     pub position_m: f64,
     /// Radius of the second minus that of the first, at the first's middle.
     pub radius_m: f64,
-    /// Angle between the axes, in radians; 0 of spheres.
+    /// Angle between the axes, in radians; 0 for spheres.
     pub axis: f64,
     /// Half-angle of the second minus that of the first, in radians.
     pub half_angle: f64,
-    /// Standard deviation of the radius as a share of the first's; not a number where the first has none.
+    /// Ratio of the second's standard deviation of the radius to the first's; NaN if the first reports none.
     pub radius_sigma: f64,
 }
 
@@ -119,8 +118,8 @@ mod tests {
         assert_eq!(pair_up(&[end], &[pipe]).both, [(0, 0)]);
     }
 
-    /// The middle of the first lies on the axis of one that leans, whose own middle is 8 cm beside the axis of the first; the other
-    /// one is 3 cm beside it, either way.
+    /// The middle of the first object lies on the axis of a leaning one, whose own middle is 8 cm beside the first's axis. The
+    /// other one is 3 cm beside it, either way.
     #[test]
     fn the_distance_is_that_from_either_to_the_other() {
         let leaning = [0.5_f64.sqrt(), 0.5_f64.sqrt(), 0.0];
@@ -132,7 +131,7 @@ mod tests {
         assert_eq!(pair_up(&b, &a).both, [(1, 0)]);
     }
 
-    /// A ball on a can lies on its axis, but above its end.
+    /// A ball on top of a can lies on its axis, but beyond its end.
     #[test]
     fn a_ball_on_a_can_is_not_the_can() {
         let can = can([0.0, 0.0, 1.0], [0.0, 1.0, 0.0], 0.2);
@@ -149,7 +148,7 @@ mod tests {
         let close = |number: f64, expected: f64| (number - expected).abs() < 1e-12;
         assert!(close(difference.position_m, 0.01) && close(difference.radius_m, -0.01));
         assert!(close(difference.radius_sigma, 1.5) && Difference::of(&sphere(0.0), &b).radius_sigma.is_nan());
-        // Seen lower, where it is wider: the same cone.
+        // The same cone, seen lower, where it is wider.
         let lower = Object { center: [0.0, 0.08, 1.0], radius: 0.108, ..cone() };
         assert!(close(Difference::of(&cone(), &lower).radius_m, 0.0));
     }

@@ -1,40 +1,40 @@
-//! Boxes in the image of a recorded frame that someone drew by hand, about what was not measured.
+//! Boxes in the image of a recorded frame that were drawn by hand around things that were not measured.
 
 use anyhow::{Result, bail};
 use conicflow_messages::{Camera, Hinted, plain};
 use serde::{Deserialize, Deserializer};
 
-/// A box as it stands in a truth file.
+/// A box in a truth file.
 #[derive(Clone, Debug, Deserialize)]
 pub struct BoxEntry {
     #[serde(default, deserialize_with = "one_line")]
     what: String,
-    /// Pixels: left, top, right, bottom.
+    /// Left, top, right, bottom, in pixels.
     #[serde(rename = "box")]
     corners: Option<[f64; 4]>,
 }
 
-/// A text from outside that is shown as a part of a line.
+/// Reads a text from outside so that it can be shown in a line.
 ///
 /// # Errors
-/// It is no text.
+/// The value is no text.
 pub fn one_line<'de, D: Deserializer<'de>>(read: D) -> Result<String, D::Error> {
     Ok(plain(&String::deserialize(read)?.replace('\n', "\\n")))
 }
 
-/// A box about something.
+/// A box around something.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PixelBox {
-    /// What it is.
+    /// Name of its content.
     pub what: String,
     corners: [f64; 4],
 }
 
 impl BoxEntry {
-    /// The box; `None` where there is but a word for what is seen.
+    /// Returns the box; `None` if the entry only has a name.
     ///
     /// # Errors
-    /// Its corners have no pixel between them.
+    /// The corners enclose no pixel.
     pub fn pixel_box(&self) -> Result<Option<PixelBox>> {
         let Some(corners @ [left, top, right, bottom]) = self.corners else { return Ok(None) };
         if !(left < right && top < bottom) {
@@ -48,7 +48,7 @@ impl BoxEntry {
 }
 
 impl PixelBox {
-    /// Whether a point of the camera's frame is seen in the box: `u = cx + fx x / z`, `v = cy + fy y / z`.
+    /// Whether the box contains the pixel of a point in the camera's frame: `u = cx + fx x / z`, `v = cy + fy y / z`.
     pub fn shows(&self, camera: &Camera, [x, y, z]: &[f64; 3]) -> bool {
         let [left, top, right, bottom] = self.corners;
         let (u, v) = (camera.cx + camera.fx * x / z, camera.cy + camera.fy * y / z);
@@ -68,7 +68,7 @@ mod tests {
     fn a_box_shows_what_lies_before_the_camera_between_its_corners() {
         let camera = Camera { width: 640, height: 480, fx: 500.0, fy: 400.0, cx: 320.0, cy: 240.0 };
         let glass = read([420.0, 140.0, 520.0, 200.0]).unwrap().unwrap();
-        // The pixel (420, 200) at 2 m is 0.4 m to the right and 0.2 m up, and (520, 140) 0.8 m and 0.5 m.
+        // Pixel (420, 200) at 2 m is 0.4 m to the right and 0.2 m up, and (520, 140) 0.8 m and 0.5 m.
         for (point, is_shown) in [
             ([0.4, -0.2, 2.0], true),
             ([0.8, -0.5, 2.0], true),

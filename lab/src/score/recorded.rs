@@ -1,36 +1,35 @@
-//! The truth of recorded frames, from a file of objects that someone measured.
+//! The truth of recorded frames, from a file with objects that were measured by hand.
 //!
 //! ```json
 //! {"units": "m", "scenes": {"learn34.pcd": [
 //!   {"type": "cylinder", "what": "tin", "radius_m": 0.0977, "axis_point_m": [x, y, z], "axis_dir": [x, y, z]},
 //!   {"type": "sphere_like", "what": "upturned bowl", "radius_m": 0.0822, "centre_m": [x, y, z]}]}}
 //! ```
-//! Camera frame. `scenes` has a list for each frame, by its file's name; an empty one says that nothing is to be found
-//! there; a folder before the name does not matter. In place of it `objects` is one list for all frames, and `frames` tells
-//! where one ball is in each:
-//! `[{"file": "depth/000000.png", "sphere": {"centre_mm": [x, y, z], "radius_mm": r}}]`, where a frame without `sphere`
-//! is not judged, and `"radius": {"accept_range_mm": [least, most]}` beside it says what radius is right.
+//! Camera frame. `scenes` has a list for each frame, by the name of its file without folders; an empty list means that nothing is
+//! to be found there. Instead, `objects` is one list for all frames, or `frames` gives one ball in each frame: `[{"file":
+//! "depth/000000.png", "sphere": {"centre_mm": [x, y, z], "radius_mm": r}}]`. There a frame without `sphere` is not judged, and
+//! `"radius": {"accept_range_mm": [least, most]}` beside it is the range of right radii.
 //!
-//! A `cone` or `cone_frustum` is told as a cylinder is, with `axis_dir` from its apex to its base, `radius_m` at the middle of
-//! the part that is seen, and `half_angle_deg`.
+//! A `cone` or `cone_frustum` is described like a cylinder, with `axis_dir` from its apex to its base, `radius_m` at the middle
+//! of the visible part, and `half_angle_deg`.
 //!
-//! A `cylinder` or a cone may say by `"seen_side_from_to_m": [from, to]` which part of its side is seen, along `axis_dir` from
-//! `axis_point_m`; -50 to 50 mm where left out. What is `sphere_like` need not be found; who finds a sphere there is right
-//! within 20 % of its radius.
+//! `"seen_side_from_to_m": [from, to]` of a `cylinder` or a cone is the visible part of its side, along `axis_dir` from
+//! `axis_point_m`; by default -50 to 50 mm. Something `sphere_like` need not be found; a sphere there is right within 20 % of the
+//! radius.
 //!
-//! An entry may have a `quality`: one that is `"poor"`, not `"fair"`, `"partial"` or `"good"`, only has to be seen: within 50 mm
-//! of its place, half of its radius and half a radian of its axis. Some shapes are none exactly: a `sphere_like` that is
-//! `"fair"` or `"poor"` may be called a cone, a `cone_frustum` that is `"poor"` anything.
+//! An entry may have a `quality`, which is `"good"`, `"partial"`, `"fair"` or `"poor"`. A `"poor"` object only has to be
+//! detected: within 50 mm of its position, half of its radius and half a radian of its axis. Some objects are not exactly of a
+//! shape: a `sphere_like` one that is `"fair"` or `"poor"` may be called a cone, and a `"poor"` `cone_frustum` any shape.
 //!
-//! Beside `scenes` two tables tell of what nobody measured, by pixels `[x0, y0, x1, y1]` of the frame:
+//! Beside `scenes`, two tables describe what was not measured, by pixels `[x0, y0, x1, y1]` of the frame:
 //!
 //! ```json
 //! {"visible_unmeasured": {"learn34.pcd": [{"what": "handle", "box": [376, 195, 428, 300]}]},
 //!  "not_wanted":         {"learn34.pcd": [{"what": "carton", "box": [345, 50, 515, 330]}]}}
 //! ```
-//! What is round there but was not measured: an answer whose centre is seen in such a box, and that is right about nothing,
-//! is neither right nor wrong. What is not wanted tempts a detector: an answer there is wrong, as is one in no box at all, and
-//! the report says on what it sits. A place in boxes of both sorts is what is round: handles stand before cartons.
+//! `visible_unmeasured` are round things: an answer whose centre is in such a box, and that matches no object, is neither right
+//! nor wrong. `not_wanted` are things that tempt a detector: an answer there is wrong, as one outside of all boxes is, and the
+//! report names the thing. Where boxes of both kinds overlap, the round thing counts: handles are in front of cartons.
 
 use super::pixel_box::{BoxEntry, PixelBox, one_line};
 use super::truth::{Tolerance, TrueObject, only};
@@ -42,14 +41,14 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Tolerances against a truth that was measured.
+/// Tolerances against a measured truth.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RecordedTolerances {
-    /// Radius of a cylinder or a sphere, of a cone at the middle of the part that is seen, in metres.
+    /// Error of the radius, in metres; that of a cone at the middle of the visible part.
     #[schemars(range(min = 0.0))]
     pub radius_m: f64,
-    /// Distance of the middle of the part that is seen from the answer's axis, in metres.
+    /// Distance of the middle of the visible part from the answer's axis, in metres.
     #[schemars(range(min = 0.0))]
     pub position_m: f64,
     /// Angle between the axes, in degrees.
@@ -82,10 +81,10 @@ impl RecordedTolerances {
     }
 }
 
-/// No truth is longer.
+/// Longest truth file that is read, in bytes.
 const MOST_BYTES: u64 = 1 << 28; // [algorithmic]
 
-/// Tolerance of what only has to be seen.
+/// Tolerance for objects that only have to be detected.
 fn of_poor(body: &Object) -> Tolerance {
     let radius_m = [0.5 * body.radius, 1.5 * body.radius];
     Tolerance { shapes: only(body.shape()), position_m: 0.05, radius_m, axis: 0.5, half_angle: 0.25 }
@@ -104,7 +103,7 @@ struct TruthFile {
     not_wanted: BTreeMap<String, Vec<BoxEntry>>,
 }
 
-/// The keys of the entries tell the units, too; the file has to agree with them.
+/// The units of a file; the keys of its entries contain the unit, too, and have to agree.
 #[derive(Clone, Copy, PartialEq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Units {
@@ -133,7 +132,7 @@ struct Entry {
     seen_side_from_to_m: Option<[f64; 2]>,
 }
 
-/// How well it could be measured.
+/// How well the object could be measured.
 #[derive(Clone, Copy, PartialEq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Quality {
@@ -155,17 +154,17 @@ struct BallEntry {
     radius_mm: f64,
 }
 
-/// What is in the frames of a recording.
+/// The true objects of a recording.
 #[derive(Clone, Debug)]
 pub struct RecordedTruth {
-    /// The file.
+    /// Path of the file.
     origin: String,
-    /// What is in each frame, by the name of its file; nothing where that was not measured.
+    /// The objects of each frame, by the name of its file; `None` if they were not measured.
     by_frame: BTreeMap<String, Option<Vec<TrueObject>>>,
     everywhere: Option<Vec<TrueObject>>,
-    /// By the name of the frame's file: what is round and was not measured, ...
+    /// By the name of the frame's file: round things that were not measured, ...
     unmeasured: BTreeMap<String, Vec<PixelBox>>,
-    /// ... and what tempts and is no right answer.
+    /// ... and things that tempt a detector.
     not_wanted: BTreeMap<String, Vec<PixelBox>>,
 }
 
@@ -173,7 +172,7 @@ impl RecordedTruth {
     /// Reads a truth file.
     ///
     /// # Errors
-    /// The file cannot be read, or what is wrong with it at which line and column.
+    /// The file cannot be read, or is not valid; the error names line and column.
     pub fn load(path: &Path, tolerances: &RecordedTolerances) -> Result<Self> {
         let place = || format!("truth file `{}`", path.display());
         let text = read_text(path, MOST_BYTES).with_context(place)?;
@@ -218,7 +217,7 @@ impl RecordedTruth {
         Ok(truth)
     }
 
-    /// Adds what is in the frame of a file, whose folder does not matter.
+    /// Adds the objects of a frame; the folder in its name is ignored.
     fn insert(&mut self, file: &str, truths: Option<Vec<TrueObject>>) -> Result<()> {
         let name = file_name(file);
         if self.by_frame.insert(name.to_owned(), truths).is_some() {
@@ -230,32 +229,32 @@ impl RecordedTruth {
         Ok(())
     }
 
-    /// The file that tells it.
+    /// Returns the path of the truth file.
     pub fn origin(&self) -> &str {
         &self.origin
     }
 
-    /// What is round and was not measured where the centre of an answer is seen, if anything is.
+    /// Names the unmeasured round thing at the centre of an answer, if there is one.
     pub fn unmeasured_at(&self, source: &str, camera: &Camera, answer: &Object) -> Option<&str> {
         what_at(&self.unmeasured, source, camera, answer)
     }
 
-    /// What tempts and is no right answer where the centre of an answer is seen, if anything is known.
+    /// Names the tempting thing at the centre of an answer, if one is known.
     pub fn not_wanted_at(&self, source: &str, camera: &Camera, answer: &Object) -> Option<&str> {
         what_at(&self.not_wanted, source, camera, answer)
     }
 
-    /// The name of one of the frames that it knows.
+    /// Returns the name of one of the frames in the file.
     pub fn some_frame(&self) -> Option<&str> {
         self.by_frame.keys().next().map(String::as_str)
     }
 
-    /// The names of the frames of which it says what is in them.
+    /// Returns the names of the frames with known objects.
     pub fn judged_frames(&self) -> impl Iterator<Item = &str> {
         self.by_frame.iter().filter(|(_, truths)| truths.is_some()).map(|(name, _)| name.as_str())
     }
 
-    /// What is in the frame of a file; `None` where that was not measured.
+    /// Returns the objects of a frame; `None` if they were not measured.
     pub fn objects(&self, source: &str) -> Option<&[TrueObject]> {
         match self.by_frame.get(file_name(source)) {
             Some(frame) => frame.as_deref(),
@@ -264,8 +263,8 @@ impl RecordedTruth {
     }
 }
 
-/// The objects of a list. No two have one name: one without is named by its type, its place and the frame, and one whose name is
-/// taken by its place, too.
+/// Returns the objects of a list with unique names: one without a name gets its type, number and frame as name, and a second one
+/// of a name its number, too.
 fn truths(entries: &[Entry], frame: &str, tolerances: &RecordedTolerances) -> Result<Vec<TrueObject>> {
     let mut truths: Vec<TrueObject> = Vec::new();
     for (number, entry) in (1..).zip(entries) {
@@ -282,7 +281,7 @@ fn truths(entries: &[Entry], frame: &str, tolerances: &RecordedTolerances) -> Re
     Ok(truths)
 }
 
-/// The boxes of each frame; what has none is told of in words only.
+/// Returns the boxes of each frame; entries without a box are left out.
 fn boxes(entries: &BTreeMap<String, Vec<BoxEntry>>) -> Result<BTreeMap<String, Vec<PixelBox>>> {
     let of_frame = |(name, entries): (&String, &Vec<BoxEntry>)| {
         let boxes = entries.iter().filter_map(|entry| entry.pixel_box().transpose()).collect::<Result<_>>();
@@ -308,7 +307,7 @@ fn check_radius(radius: f64, what: &str) -> Result<()> {
     bail!(Hinted::new(format!("the radius of `{what}` is {radius}"), "a radius is more than 0"))
 }
 
-/// The last part of a path, with `/` as separator on every system.
+/// Returns the last part of a path; the separator is `/` on every system.
 pub(super) fn file_name(path: &str) -> &str {
     path.rsplit('/').next().unwrap_or(path)
 }
@@ -344,7 +343,7 @@ impl Entry {
         Ok(TrueObject { name, body, hidden: 0.0, required, measured, tolerance })
     }
 
-    /// A cylinder that widens along its axis.
+    /// Returns a cylinder that widens along its axis.
     fn cone(&self, point: [f64; 3], axis: [f64; 3]) -> Result<Object> {
         let Some(half_angle) = self.half_angle_deg.filter(|degrees| (0.0..90.0).contains(degrees)) else {
             bail!(Hinted::new(
@@ -398,7 +397,7 @@ impl BallEntry {
         let body = sphere(self.centre_mm.map(|coordinate| 1e-3 * coordinate), 1e-3 * self.radius_mm);
         let mut tolerance = tolerances.of(&body);
         if let Some(range_mm @ [least, most]) = range_mm {
-            // What a sensor shows may be a little off, so that the true radius need not lie in the range.
+            // The sensor may show another radius, so that the true one need not lie in the range.
             let is_about_it = most > 0.5 * self.radius_mm && least < 2.0 * self.radius_mm;
             if least >= most || !is_about_it {
                 bail!(Hinted::new(
@@ -504,8 +503,8 @@ mod tests {
         assert!(format!("{:#}", cone("").unwrap_err()).contains("has no `half_angle_deg` from 0 to 90\n  hint: "));
     }
 
-    /// The defaults: 4 mm of the radius, 5 mm from the axis and 30 mm from the centre of a sphere, 4 degrees of the axis and 3 of
-    /// the half-angle.
+    /// The defaults: 4 mm for the radius, 5 mm from the axis and 30 mm from the centre of a sphere, 4 degrees for the axis and 3
+    /// for the half-angle.
     #[test]
     fn an_answer_is_right_within_the_default_tolerances_and_no_farther() {
         let entry = |text: &str| {

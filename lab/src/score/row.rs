@@ -1,5 +1,5 @@
-//! Rows of figures with the names of their columns: what experiments make tables of. A column is one row of a table, which
-//! names it, says what is summed up and how.
+//! Rows of figures with the names of their columns, of which experiments make tables. A [`Column`] has a name, a statistic, and
+//! the number that is summed up.
 
 use crate::running_stats::RunningStats;
 use serde::{Deserialize, Serialize};
@@ -14,12 +14,12 @@ pub enum Figure {
     Text(String),
 }
 
-/// Cells in the order in which they were added; what is not known has none.
+/// Cells in the order in which they were added; unknown figures have no cell.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Row(pub Vec<(String, Figure)>);
 
 impl Row {
-    /// A row that begins with the name of what it is about, in how many frames that was looked for, and in how many found.
+    /// Creates a row with the name of an object, the number of frames in which it was searched, and in which it was found.
     pub fn about(name: &str, frames: u64, found: u64) -> Self {
         let mut row = Self::default();
         row.text("object", name);
@@ -33,7 +33,7 @@ impl Row {
         self.0.push((column.to_owned(), Figure::Text(text.to_owned())));
     }
 
-    /// Adds a number, if it is one.
+    /// Adds a number, if it is finite.
     pub fn number(&mut self, column: &str, number: f64) {
         if number.is_finite() {
             self.0.push((column.to_owned(), Figure::Number(number)));
@@ -62,7 +62,7 @@ impl Serialize for Row {
     }
 }
 
-/// What stands in a column of all that was summed up there.
+/// The statistic in a column.
 #[derive(Clone, Copy, Debug)]
 pub enum Statistic {
     /// The mean.
@@ -80,19 +80,19 @@ pub enum Statistic {
 /// A column: its name, its statistic, and the number that a sample adds to it, if it has one.
 pub struct Column<S>(pub &'static str, pub Statistic, pub fn(&S) -> Option<f64>);
 
-/// The sums of some columns.
+/// The sums of several columns.
 pub struct Sums<S: 'static> {
     columns: &'static [Column<S>],
     sums: Vec<RunningStats>,
 }
 
 impl<S> Sums<S> {
-    /// Sums of nothing.
+    /// Creates empty sums.
     pub fn new(columns: &'static [Column<S>]) -> Self {
         Self { columns, sums: vec![RunningStats::default(); columns.len()] }
     }
 
-    /// Takes in a sample.
+    /// Adds a sample.
     pub fn add(&mut self, sample: &S) {
         for (Column(_, _, number), sum) in self.columns.iter().zip(&mut self.sums) {
             if let Some(number) = number(sample) {
@@ -101,13 +101,13 @@ impl<S> Sums<S> {
         }
     }
 
-    /// The sum of a column.
+    /// Returns the sum of a column.
     pub fn of(&self, name: &str) -> RunningStats {
         let index = self.columns.iter().position(|Column(known, ..)| *known == name);
         index.map_or_else(RunningStats::default, |index| self.sums[index])
     }
 
-    /// Adds the figures of all columns to a row.
+    /// Appends the figures of all columns to a row.
     pub fn write(&self, row: &mut Row) {
         for (Column(name, statistic, _), sum) in self.columns.iter().zip(&self.sums) {
             let number = match statistic {
@@ -126,7 +126,7 @@ impl<S> Sums<S> {
 mod tests {
     use super::*;
 
-    /// What a sample has in its first column, and whether it has one in the others.
+    /// Columns of a sample's number, all but the first only if its flag is set.
     const COLUMNS: &[Column<(f64, bool)>] = &[
         Column("mean", Statistic::Mean, |it| Some(it.0)),
         Column("mean_deg", Statistic::MeanDegrees, |it| it.1.then_some(it.0)),

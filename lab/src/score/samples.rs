@@ -1,4 +1,4 @@
-//! All that an evaluation counts: a sample for each object that had to be found, and for each wrong answer.
+//! The counts of an evaluation: a sample for each object that had to be found, and for each wrong answer.
 
 use super::matching::{Answer, Comparison, Fault, MatchedFrame, compare};
 use super::sigmas::Sigmas;
@@ -6,27 +6,27 @@ use conicflow_messages::{Object, ObjectKind};
 use indexmap::IndexSet;
 use nalgebra::Vector3;
 
-/// All that was counted.
+/// All counts of an evaluation.
 #[derive(Clone, Debug, Default)]
 pub struct Score {
-    /// Number of frames that were judged.
+    /// Number of judged frames.
     pub frames: u64,
     /// Names of the groups, in the order of their first frames.
     pub groups: IndexSet<String>,
-    /// The true objects that had to be found, and the answers that were right about nothing.
+    /// The true objects that had to be found, and the wrong answers.
     pub samples: Vec<Sample>,
     /// Number of right answers about objects that need not be found.
     pub extra: u64,
-    /// Number of answers about what nobody measured.
+    /// Number of answers at something that was not measured.
     pub neither: u64,
 }
 
 /// A true object that had to be found, or a wrong answer.
 #[derive(Clone, Copy, Debug)]
 pub struct Sample {
-    /// Number of its group.
+    /// Index of its group.
     pub group: usize,
-    /// Its shape; of a wrong answer the one that it claims.
+    /// Its shape; of a wrong answer, the one that it claims.
     pub shape: ObjectKind,
     /// Distance of its middle from the camera, in metres.
     pub distance: f64,
@@ -34,11 +34,11 @@ pub struct Sample {
     pub radius_m: f64,
     /// Hidden share of a true object.
     pub hidden: Option<f64>,
-    /// How the answer compares that is right about a true object, and its errors in standard deviations.
+    /// For a found object, the comparison with the right answer, and the errors in standard deviations.
     pub found: Option<(Comparison, Sigmas)>,
-    /// Whether a true object is known well enough for errors to tell anything.
+    /// Whether a true object was measured well enough for errors to mean anything.
     pub measured: bool,
-    /// Of a wrong answer what comes nearest to it.
+    /// The mildest fault of a wrong answer.
     pub fault: Option<Fault>,
 }
 
@@ -48,22 +48,22 @@ impl Sample {
         Self { group, shape, distance, radius_m: object.radius, hidden: None, found: None, measured: true, fault: None }
     }
 
-    /// How the answer compares that is right about a true object, where that tells anything of how good it is.
+    /// Returns the comparison with the right answer and its errors, if the object was measured well enough.
     pub fn errors(&self) -> Option<(Comparison, Sigmas)> {
         self.found.filter(|_| self.measured)
     }
 
-    /// Distance between where it is and where it was found, in millimetres.
+    /// Returns the position error, in millimetres.
     pub fn position_error_mm(&self) -> Option<f64> {
         Some(1e3 * self.errors()?.0.position_m)
     }
 
-    /// Angle between the axis as it is and as it was found, in degrees, where its shape has one.
+    /// Returns the angle between the true and the found axis, in degrees, if the shape has an axis.
     pub fn axis_error_deg(&self) -> Option<f64> {
         self.errors().filter(|_| self.shape.has_axis()).map(|(comparison, _)| comparison.axis.to_degrees())
     }
 
-    /// By how much the half-angle that was found is off, in degrees, where its shape has one.
+    /// Returns the absolute error of the half-angle, in degrees, if the shape has one.
     pub fn half_angle_error_deg(&self) -> Option<f64> {
         let errors = self.errors().filter(|_| self.shape.has_half_angle());
         errors.map(|(comparison, _)| comparison.half_angle.abs().to_degrees())
@@ -71,7 +71,7 @@ impl Sample {
 }
 
 impl Score {
-    /// Counts what came of a frame of a group.
+    /// Counts the results of a frame of a group.
     pub fn add(&mut self, group: &str, frame: &MatchedFrame) {
         let (group, _) = self.groups.insert_full(group.to_owned());
         self.frames += 1;

@@ -4,7 +4,7 @@ use super::row::Statistic::{Deviation, Mean};
 use super::row::{Column, Row, Sums};
 use conicflow_messages::Ellipse;
 
-/// What is summed up of the ellipses that are about the section, with their distances from its centre.
+/// The columns for ellipses that match the section, with their distances from its centre.
 const FOUND: &[Column<(Ellipse, f64)>] = &[
     Column("long_m", Mean, |(ellipse, _)| Some(ellipse.semi_axes[0])),
     Column("long_sd_m", Deviation, |(ellipse, _)| Some(ellipse.semi_axes[0])),
@@ -14,7 +14,7 @@ const FOUND: &[Column<(Ellipse, f64)>] = &[
     Column("rms_m", Mean, |(ellipse, _)| Some(ellipse.rms)),
 ];
 
-/// Figures of one section, frame by frame.
+/// Figures of one section over all frames.
 pub struct Sections {
     center: [f64; 2],
     max_offset_m: f64,
@@ -25,17 +25,18 @@ pub struct Sections {
 }
 
 impl Sections {
-    /// The names of the columns of its row.
+    /// Returns the names of the columns of its row.
     pub fn columns() -> impl Iterator<Item = &'static str> {
         ["object", "frames", "n", "others"].into_iter().chain(FOUND.iter().map(|Column(name, ..)| *name))
     }
 
-    /// A section whose centre in the plane of its scan line is at `center`; an ellipse within `max_offset_m` is about it.
+    /// Creates the sums for a section whose centre in the plane of its scan line is at `center`; an ellipse within `max_offset_m`
+    /// matches it.
     pub fn new(center: [f64; 2], max_offset_m: f64) -> Self {
         Self { center, max_offset_m, frames: 0, found: 0, others: 0, sums: Sums::new(FOUND) }
     }
 
-    /// Takes in the ellipses of a frame: the one nearest to the section, if it is near enough, is about it.
+    /// Adds the ellipses of a frame; the one nearest to the section, if it is near enough, matches it.
     pub fn add(&mut self, ellipses: &[Ellipse]) {
         self.frames += 1;
         self.others += ellipses.len() as u64;
@@ -52,7 +53,7 @@ impl Sections {
         }
     }
 
-    /// The figures.
+    /// Returns the figures.
     pub fn row(&self) -> Row {
         let mut row = Row::about("section", self.frames, self.found);
         row.count("others", self.others);

@@ -1,16 +1,16 @@
-//! Errors of an answer in units of the standard deviations that it came with.
+//! Errors of an answer in units of its reported standard deviations.
 
 use super::matching::{compare, perpendicular, radius_at};
 use conicflow_messages::Object;
 use nalgebra::{Matrix3, Vector3};
 
-/// Errors in units of their standard deviations: each has the mean square 1 if these are honest. What a shape does not
-/// have, and what came without a standard deviation, is `None`.
+/// Errors in units of their standard deviations: each has the mean square 1 if these are correct. `None` for parameters that the
+/// shape does not have, or without a standard deviation.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Sigmas {
-    /// Of the radius, of a cone at the middle of its visible part.
+    /// Of the radius; of a cone, at the middle of its visible part.
     pub radius: Option<f64>,
-    /// Of the centre, per coordinate; of cylinders and cones across the axis.
+    /// Of the centre, per coordinate; of cylinders and cones, across the axis.
     pub center: Option<f64>,
     /// Of the axis, as an angle.
     pub axis: Option<f64>,
@@ -19,7 +19,7 @@ pub struct Sigmas {
 }
 
 impl Sigmas {
-    /// The errors of an answer that has the true shape.
+    /// Returns the errors of an answer that has the true shape.
     pub fn of(truth: &Object, answer: &Object) -> Self {
         let (errors, sigma, shape) = (compare(truth, answer), &answer.sigma, truth.shape());
         let mut sigmas = Self {
@@ -41,8 +41,8 @@ fn ratio(error: f64, sigma: f64) -> Option<f64> {
     (sigma > 0.0).then(|| error / sigma)
 }
 
-/// Root of `d' C^-1 d / n`, where `d` is the error of the centre, of cylinders and cones without its part along the true
-/// axis, and `n` the number of coordinates that are left.
+/// Returns the root of `d' C^-1 d / n`. `d` is the error of the centre, for cylinders and cones without its part along the true
+/// axis, and `n` is the number of remaining coordinates.
 fn center_ratio(truth: &Object, answer: &Object) -> Option<f64> {
     let offset = Vector3::from(answer.center) - Vector3::from(truth.center);
     let covariance = Matrix3::from(answer.sigma.center).transpose();
@@ -51,7 +51,7 @@ fn center_ratio(truth: &Object, answer: &Object) -> Option<f64> {
     }
     let axis = Vector3::from(truth.axis);
     let projection = Matrix3::identity() - axis * axis.transpose();
-    // along the axis the error is 0, so that any variance may stand there
+    // the error along the axis is 0, so that any variance will do there
     let trace = covariance.trace();
     let across = projection * covariance * projection + axis * axis.transpose() * trace;
     mahalanobis_squared(&across, &perpendicular(&offset, &axis)).map(|square| (square / 2.0).sqrt())
@@ -107,7 +107,7 @@ mod tests {
         assert!(straight.half_angle.is_none() && (straight.axis.unwrap() - 2.0).abs() < 1e-9);
     }
 
-    /// The places across the axis and along it are correlated, as those of a cone of which one end is seen better.
+    /// The errors across and along the axis are correlated, as for a cone with one end more visible than the other.
     #[test]
     fn what_is_unsure_along_the_axis_does_not_count_across_it() {
         let center = [[4e-6, 3e-5, 0.0], [3e-5, 4e-4, 1e-5], [0.0, 1e-5, 1e-6]];

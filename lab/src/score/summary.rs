@@ -1,11 +1,11 @@
-//! A score in one row: what was to be found, what was found and what was wrong, and medians of the errors of what was found.
-//! Experiments make a table of the rows of several runs.
+//! A score in one row: the numbers of objects to be found, found ones and wrong answers, and medians of the errors. Experiments
+//! make a table of the rows of several runs.
 
 use super::row::Row;
 use super::samples::{Sample, Score};
 use crate::quantile::median;
 
-/// A column of medians, and the number of those samples that have it.
+/// A column of medians, and the number of each sample, if it has one.
 type Median = (&'static str, fn(&Sample) -> Option<f64>);
 
 const COUNTS: [&str; 5] = ["frames", "to_find", "found", "wrong", "neither"];
@@ -18,12 +18,12 @@ const MEDIANS: [Median; 5] = [
     ("half_angle_error_deg", Sample::half_angle_error_deg),
 ];
 
-/// The names of all columns that a row can have.
+/// Returns the names of all columns that a row can have.
 pub fn columns() -> impl Iterator<Item = &'static str> {
     COUNTS.into_iter().chain(SHARES).chain(MEDIANS.map(|(name, _)| name))
 }
 
-/// The row of a score; what nothing tells has no cell.
+/// Returns the row of a score; unknown figures have no cell.
 pub fn row(score: &Score) -> Row {
     let wrong = score.samples.iter().filter(|sample| sample.fault.is_some()).count();
     let found = score.samples.iter().filter(|sample| sample.found.is_some()).count();

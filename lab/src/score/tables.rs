@@ -1,5 +1,5 @@
-//! The tables of a score: counts and errors by shape, group, distance and hidden share, how honest the standard deviations
-//! are, and what is wrong with the wrong answers.
+//! The tables of a score: counts and errors by shape, group, distance and hidden share, checks of the standard deviations, and
+//! the faults of the wrong answers.
 
 use super::matching::Fault;
 use super::samples::{Sample, Score};
@@ -8,13 +8,13 @@ use conicflow_messages::ObjectKind;
 use std::collections::BTreeSet;
 use std::fmt::Display;
 
-/// A number of those samples that have it.
+/// A number of a sample, if it has one.
 type Pairing = fn(&Sample) -> Option<f64>;
 
-/// The titles of the counts with the widths of their columns.
+/// The titles of the counts, and the widths of their columns.
 const COUNTS: [(&str, usize); 6] = [("truth", 6), ("found", 6), ("wrong", 6), ("recall", 8), ("prec.", 7), ("F1", 7)];
 
-/// The errors whose medians stand behind the counts.
+/// The errors whose medians follow the counts.
 const ERRORS: [(&str, usize, Pairing); 5] = [
     ("radius %", 10, |sample| Some(radius_error(sample)?.abs())),
     ("bias %", 8, radius_error),
@@ -23,7 +23,7 @@ const ERRORS: [(&str, usize, Pairing); 5] = [
     ("half deg", 10, Sample::half_angle_error_deg),
 ];
 
-/// The standard deviations that are judged.
+/// The standard deviations that are checked.
 const SIGMAS: [(&str, Pairing); 4] = [
     ("radius", |sample| sample.errors()?.1.radius),
     ("centre", |sample| sample.errors()?.1.center),
@@ -35,7 +35,7 @@ fn radius_error(sample: &Sample) -> Option<f64> {
     Some(100.0 * (sample.errors()?.0.radius_m / sample.radius_m - 1.0))
 }
 
-/// All tables.
+/// Returns all tables.
 pub fn report(score: &Score) -> String {
     let all: Vec<&Sample> = score.samples.iter().collect();
     let (wrong, found) = (count_wrong(&all), count_found(&all));
@@ -61,7 +61,7 @@ pub fn report(score: &Score) -> String {
     text + &honesty_table(score) + &fault_table(score)
 }
 
-/// A line of a table: a label and cells with their widths.
+/// Formats a line of a table: a label, and cells with their widths.
 fn line(label: &str, cells: impl IntoIterator<Item = (impl Display, usize)>) -> String {
     let mut text = format!("{label:<24}");
     for (cell, width) in cells {
@@ -70,7 +70,7 @@ fn line(label: &str, cells: impl IntoIterator<Item = (impl Display, usize)>) -> 
     text + "\n"
 }
 
-/// What a line of a table is about.
+/// A line of a table: its label and its samples.
 type Part<'a> = (String, Vec<&'a Sample>);
 
 fn part(score: &Score, label: impl Into<String>, is_of_it: impl Fn(&Sample) -> bool) -> Part<'_> {
@@ -102,7 +102,7 @@ fn by_distance(score: &Score) -> Vec<Part<'_>> {
     parts
 }
 
-/// Wrong answers cannot be told apart like this.
+/// Leaves out wrong answers, which have no hidden share.
 fn by_hidden(score: &Score) -> Vec<Part<'_>> {
     const LIMITS: [f64; 6] = [-1.0, 0.1, 0.3, 0.45, 0.6, 1.0];
     let of = |limits: &[f64]| {
@@ -120,7 +120,7 @@ fn count_found(samples: &[&Sample]) -> usize {
     samples.iter().filter(|sample| sample.found.is_some()).count()
 }
 
-/// The counts of a line, of which those that count wrong answers may stay empty.
+/// Returns the counts of a line; those of wrong answers are empty unless `tells_wrong`.
 fn counts(samples: &[&Sample], tells_wrong: bool) -> [String; 6] {
     let (wrong, found) = (count_wrong(samples), count_found(samples));
     let truth = samples.len() - wrong;
@@ -139,7 +139,7 @@ fn values(samples: &[&Sample], pick: Pairing) -> Vec<f64> {
     samples.iter().filter_map(|sample| pick(sample)).collect()
 }
 
-/// A part of a whole; nothing of nothing tells nothing.
+/// Formats a ratio; `-` if the whole is zero.
 fn share(part: usize, whole: usize) -> String {
     if whole == 0 { "-".to_owned() } else { format!("{:.3}", part as f64 / whole as f64) }
 }
@@ -163,7 +163,7 @@ fn honesty(values: &[f64]) -> String {
     usual.map_or_else(|| "-".to_owned(), |usual| format!("{:.2} ({usual:.2})", mean_square.sqrt()))
 }
 
-/// Nothing where nothing is wrong.
+/// Returns the table of faults, or nothing without wrong answers.
 fn fault_table(score: &Score) -> String {
     let faults: BTreeSet<Fault> = score.samples.iter().filter_map(|sample| sample.fault).collect();
     if faults.is_empty() {

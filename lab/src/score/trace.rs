@@ -1,4 +1,4 @@
-//! Each frame's observations as CSV: where each object was and where it was seen, in the world frame.
+//! Writes the observations of each frame as CSV: the true and the found position of each object, in the world frame.
 
 use super::observation::{Observation, Sighting, State};
 use anyhow::{Result, anyhow};
@@ -13,17 +13,17 @@ pub const TITLES: [&str; 13] = [
     "radius_m", "id",
 ];
 
-/// The file. What an earlier run has left in it stays until the first frame.
+/// The file. Content of an earlier run stays until the first frame.
 pub struct Trace {
     file: LateFile,
     lines: Option<csv::Writer<File>>,
 }
 
 impl Trace {
-    /// Makes the file, and its folder where it is missing.
+    /// Creates the file, and its folder if that is missing.
     ///
     /// # Errors
-    /// One of them cannot be made.
+    /// The file or the folder cannot be created.
     pub fn create(path: &Path) -> Result<Self> {
         let file = LateFile::open(path).map_err(|error| {
             let hint = "`trace_path` wants a file in a place that you may write to";
@@ -32,7 +32,7 @@ impl Trace {
         Ok(Self { file, lines: None })
     }
 
-    /// Writes a frame, one line for each object that was there; what was not seen leaves its cells empty.
+    /// Writes a frame, one line for each object; objects that were not found have empty cells.
     ///
     /// # Errors
     /// A line cannot be written.
@@ -60,10 +60,10 @@ impl Trace {
         Ok(())
     }
 
-    /// Hands the last lines to the system.
+    /// Writes the last lines to the file.
     ///
     /// # Errors
-    /// They cannot be written.
+    /// The lines cannot be written.
     pub fn flush(&mut self) -> std::io::Result<()> {
         self.lines.as_mut().map_or(Ok(()), csv::Writer::flush)
     }

@@ -1,5 +1,5 @@
-//! What is truly there, and what a detector owes to it. Of rendered frames that is a function of what the header tells: the
-//! scene's name, the time and the camera. Of recorded ones it comes from a file ([`super::recorded`]).
+//! The truth: the true objects, and which of them a detector has to find. For rendered frames it follows from the scene's name,
+//! the time and the camera in the header. For recorded ones it comes from a file ([`super::recorded`]).
 
 use crate::simulator::random_scene;
 use crate::simulator::scene::Scene;
@@ -12,31 +12,31 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// A true object, and what a detector owes it.
+/// A true object, and the requirements on answers about it.
 #[derive(Clone, Debug)]
 pub struct TrueObject {
     /// Its name in the scene.
     pub name: String,
-    /// All of it: `center` is its middle.
+    /// The whole object: `center` is its middle.
     pub body: Object,
-    /// Share of it that cannot be seen.
+    /// Share of it that is not visible.
     pub hidden: f64,
-    /// Whether it must be found; else a right answer is neither counted nor held against the detector.
+    /// Whether it has to be found; else a right answer is neither counted nor wrong.
     pub required: bool,
-    /// Whether it is known well enough for errors to tell anything; else it only has to be seen.
+    /// Whether it was measured well enough for errors to mean anything; else it only has to be detected.
     pub measured: bool,
-    /// What counts as right.
+    /// Largest errors of a right answer.
     pub tolerance: Tolerance,
 }
 
-/// How far an answer about one object may be off.
+/// Largest errors of a right answer about one object.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tolerance {
-    /// The shapes that it may be taken for.
+    /// The shapes that it may be called.
     pub shapes: &'static [ObjectKind],
     /// Distance, in metres.
     pub position_m: f64,
-    /// Least and greatest radius, in metres; of a cone at its true middle.
+    /// Least and greatest radius, in metres; of a cone, at its true middle.
     pub radius_m: [f64; 2],
     /// Angle between the axes, in radians.
     pub axis: f64,
@@ -44,7 +44,7 @@ pub struct Tolerance {
     pub half_angle: f64,
 }
 
-/// The one shape of an object that is taken for nothing else.
+/// Returns the list with this shape only.
 pub const fn only(shape: ObjectKind) -> &'static [ObjectKind] {
     match shape {
         ObjectKind::Sphere => &[ObjectKind::Sphere],
@@ -53,7 +53,7 @@ pub const fn only(shape: ObjectKind) -> &'static [ObjectKind] {
     }
 }
 
-/// Which true objects have to be found.
+/// Criteria for the true objects that have to be found.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct VisibilityCriteria {
@@ -78,7 +78,7 @@ impl Default for VisibilityCriteria {
 }
 
 impl VisibilityCriteria {
-    /// Whether an object can be asked for: enough of it is seen, enough of that is its side, and not along its axis.
+    /// Whether an object has to be found: enough of it is visible, enough of that is its side, and not along its axis.
     fn are_met_by(&self, truth: &Truth) -> bool {
         let [columns, rows] = truth.extent_px;
         !truth.bowl
@@ -90,7 +90,7 @@ impl VisibilityCriteria {
     }
 }
 
-/// Angle between the line of sight and the axis, at most a right one; of a sphere a right one.
+/// Returns the angle between the line of sight and the axis, at most a right one; a right one for a sphere.
 fn view_angle(body: &Object) -> f64 {
     if !body.shape().has_axis() {
         return std::f64::consts::FRAC_PI_2;
@@ -99,7 +99,7 @@ fn view_angle(body: &Object) -> f64 {
     center.cross(&axis).norm().atan2(center.dot(&axis).abs())
 }
 
-/// How far off an answer about a rendered frame may be.
+/// Largest errors of a right answer about a rendered frame.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Tolerances {
@@ -140,16 +140,16 @@ impl Tolerances {
 pub struct RenderedTruth {
     /// The scene that is shown; none: the random or built-in one that a header names.
     pub scene: Option<SceneTemplate>,
-    /// Which objects have to be found.
+    /// Criteria for the objects that have to be found.
     pub required: VisibilityCriteria,
-    /// What counts as right.
+    /// Largest errors of right answers.
     pub tolerance: Tolerances,
 }
 
-/// Reads a scene file, and makes sure that it is one.
+/// Reads a scene file, and checks that it is valid.
 ///
 /// # Errors
-/// It cannot be read, or what is wrong with it.
+/// The file cannot be read, or is not valid.
 pub fn load_scene(path: &Path) -> Result<SceneTemplate> {
     let template = SceneTemplate::load(path)?;
     template.scene(&Values::new())?;
@@ -157,10 +157,10 @@ pub fn load_scene(path: &Path) -> Result<SceneTemplate> {
 }
 
 impl RenderedTruth {
-    /// The scene of a frame, with the camera where the header has it.
+    /// Returns the scene of a frame, with the camera at the pose in the header.
     ///
     /// # Errors
-    /// The frame shows a scene that is not known.
+    /// The frame shows an unknown scene.
     pub fn scene_of(&self, header: &Header) -> Result<Scene> {
         let mut scene = self.scene_named(header.source.as_str().unwrap_or_default())?;
         if let Some(rows) = header.pose() {
@@ -186,8 +186,8 @@ impl RenderedTruth {
         }
     }
 
-    /// What is in a frame of a scene. Nothing is owed to what cannot be seen there; but a track may know of it, from another
-    /// camera or from before.
+    /// Returns the objects of a scene. Those that are not visible in the frame need not be found, but a track may know of them,
+    /// from another camera or from earlier frames.
     pub fn objects(&self, header: &Header, scene: &Scene) -> Vec<TrueObject> {
         let truths = truth_at(scene, header.camera, header.stamp_ns as f64 * 1e-9).into_iter();
         let object = |truth: Truth| TrueObject {
@@ -276,7 +276,7 @@ mod tests {
         assert!(!of(|truth| truth.part = true), "it belongs to something that is no object");
     }
 
-    /// By the third second the camera of the scene has gone three metres; the one of the header is elsewhere.
+    /// By the third second the scene's camera has moved three metres; the camera in the header is elsewhere.
     #[test]
     fn the_camera_is_where_the_header_has_it_whatever_the_scene_says_at_that_time() {
         let scene = "name = 'moving'

@@ -1,4 +1,4 @@
-//! Boxes. A ray meets them as slabs (Kay and Kajiya, "Ray tracing complex scenes", 1986).
+//! Boxes; rays are intersected with them as slabs (Kay and Kajiya, "Ray tracing complex scenes", 1986).
 
 use super::pose::Pose;
 use super::surface::{Surface, first_ahead};
@@ -9,14 +9,14 @@ use nalgebra::{Matrix3, Vector3};
 pub struct Block {
     /// Its centre.
     pub center: Vector3<f64>,
-    /// Its edges' directions, as columns.
+    /// Directions of its edges, as columns.
     pub axes: Matrix3<f64>,
-    /// Half of its size along each.
+    /// Half of its size along each edge.
     pub half: Vector3<f64>,
 }
 
 impl Block {
-    /// Where a ray enters it and leaves it.
+    /// Returns where a ray enters and leaves the box.
     #[inline]
     pub(super) fn crossings(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> Option<[f64; 2]> {
         let (origin, direction) = (self.axes.tr_mul(&(origin - self.center)), self.axes.tr_mul(direction));
@@ -30,7 +30,7 @@ impl Block {
         (enter <= leave).then_some([enter, leave])
     }
 
-    /// How far it reaches from its centre along a unit vector.
+    /// Returns how far the box reaches from its centre along a unit vector.
     pub(super) fn reach_along(&self, direction: &Vector3<f64>) -> f64 {
         self.axes.tr_mul(direction).abs().dot(&self.half)
     }

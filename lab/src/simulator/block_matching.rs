@@ -1,70 +1,70 @@
-//! Disparities of two rectified images by block matching: for each pixel the shift at which the window about it differs
-//! least from the other image, by the sum of absolute differences.
+//! Disparities of two rectified images by block matching: for each pixel, the shift at which the sum of absolute differences
+//! between the window around it and the other image is least.
 //!
-//! All shifts are tried, and the sums run on along rows and columns, so that the time does not depend on the window's size
-//! (as in K. Konolige, "Small vision systems: hardware and implementation", 1998, of which also the check from right to left
-//! and that for a unique minimum are). A camera may look for shifts that are smooth along scan lines, from the left, the right
-//! and above (H. Hirschmüller, "Stereo processing by semiglobal matching and mutual information", 2008): that bears small
-//! windows, by which silhouettes stay sharp. What is found is averaged with its neighbours of the same surface, which lengthens
-//! the noise and does not blur silhouettes. Sums are of whole numbers: the same bits everywhere.
+//! All shifts are tried, with running sums along rows and columns, so that the time does not depend on the window's size (as in
+//! K. Konolige, "Small vision systems: hardware and implementation", 1998, from which the left-right check and the uniqueness
+//! check are, too). Shifts may be required to be smooth along scan lines from the left, the right and above (H. Hirschmüller,
+//! "Stereo processing by semiglobal matching and mutual information", 2008): that allows small windows, which keep silhouettes
+//! sharp. Disparities are averaged with their neighbours of the same surface, which correlates the noise over a longer distance
+//! without blurring silhouettes. All sums are of whole numbers, so that the bits are the same on every machine.
 
-/// Greatest brightness of a pixel.
+/// Largest brightness of a pixel.
 pub const BRIGHTEST: i16 = 63;
 
-/// Number of directions along which shifts may be smooth.
+/// Number of directions along which shifts can be smooth.
 const PATHS: u32 = 3;
 
-/// Most pixels of a window, so that what it and a penalty make along all paths stays within 16 bits.
+/// Largest number of pixels in a window; the costs of a window and its penalties along all paths then fit into 16 bits.
 pub const LARGEST_WINDOW: u32 = (i16::MAX as u32 / PATHS - LARGEST_PENALTY as u32) / BRIGHTEST as u32;
 
-/// Greatest penalty of a step.
+/// Largest penalty of a step.
 const LARGEST_PENALTY: i16 = 2000;
 
-/// Two images, row by row; the second one reaches farther to the left, as far as a shift may.
+/// Two images, row by row; the second one extends farther to the left, by the largest shift.
 #[derive(Clone, Debug, Default)]
 pub struct ImagePair {
     /// Width and height of the first.
     pub size: [usize; 2],
-    /// Pixels that the second has more, at its left end.
+    /// Number of additional pixels of the second image, at its left end.
     pub reach: usize,
     /// The first image.
     pub left: Vec<i16>,
-    /// The second image, each row from its right end to its left: shifts ascend with the places in memory.
+    /// The second image, each row from right to left, so that shifts ascend in memory.
     pub right: Vec<i16>,
 }
 
 impl ImagePair {
-    /// Place in `right` of a pixel of the second image; `u` is from `-reach` up.
+    /// Returns the index in `right` of a pixel of the second image; `u` is at least `-reach`.
     #[inline]
     pub fn right_index(&self, u: i64, v: usize) -> usize {
         v * (self.size[0] + self.reach) + (self.size[0] as i64 - 1 - u) as usize
     }
 }
 
-/// How it is matched.
+/// Parameters of the matching.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Matching {
     /// Columns and rows of the window.
     pub window: [usize; 2],
     /// Least and greatest shift.
     pub shifts: [usize; 2],
-    /// What a step of the shift by one pixel, and by more, costs along a scan line, in units of brightness; none: each pixel is
-    /// matched by itself.
+    /// Costs of a step of the shift by one pixel, and by more, along a scan line, in units of brightness; none: each pixel is
+    /// matched independently.
     pub penalties: Option<[i16; 2]>,
-    /// By what share the least difference has to be below that of all shifts but its neighbours.
+    /// Share by which the least difference has to be below that of all other shifts but its neighbours.
     pub uniqueness: f64,
-    /// By how much the shift may differ from that which the other image's window has; none: it is not asked.
+    /// Largest difference from the shift that the other image finds; none: no left-right check.
     pub left_right_px: Option<usize>,
     /// Regions of fewer pixels are removed.
     pub smallest_region_px: usize,
-    /// Columns and rows of the window over which disparities of one surface are averaged; `[1, 1]`: they are not.
+    /// Columns and rows of the window over which disparities of one surface are averaged; `[1, 1]`: no averaging.
     pub smoothing: [usize; 2],
 }
 
-/// Neighbours whose disparities differ by no more are of one surface, in pixels.
+/// Largest difference between the disparities of neighbours on one surface, in pixels.
 const ONE_SURFACE_PX: f32 = 1.0;
 
-/// The disparity of each pixel; not a number where there is none.
+/// Returns the disparity of each pixel; NaN where there is none.
 pub fn disparities(images: &ImagePair, matching: &Matching) -> Vec<f32> {
     let [width, height] = images.size;
     let mut disparities = vec![f32::NAN; width * height];
@@ -89,25 +89,25 @@ pub fn disparities(images: &ImagePair, matching: &Matching) -> Vec<f32> {
     disparities
 }
 
-/// What is known of a row, and of those above it.
+/// Sums of a row, and of the rows above.
 #[derive(Default)]
 struct RowSums {
-    /// For each column and shift the differences of the window's rows.
+    /// Sum of differences over the window's rows, for each column and shift.
     columns: Vec<i16>,
-    /// The same of the window.
+    /// Sum of differences over the window, for each column and shift.
     sums: Vec<i16>,
-    /// The least sums of paths that come from above, and from the side, to each shift of a pixel.
+    /// Least costs of paths from above and from the side, for each column and shift.
     from_above: Vec<i16>,
     last_row: Vec<i16>,
     from_left: Vec<i16>,
     from_right: Vec<i16>,
-    /// For each pixel of the second image's row the least difference and its shift.
+    /// For each pixel of the second image's row, the least difference and its shift.
     least_right: Vec<i16>,
     shift_right: Vec<i16>,
 }
 
 impl RowSums {
-    /// Brings the sums of the window's rows about row `v` up to date; at the image's border the last row counts again.
+    /// Updates the sums over the window's rows around row `v`; beyond the image's border, the last row is repeated.
     fn sum_columns(&mut self, images: &ImagePair, matching: &Matching, v: usize) {
         let [width, height] = images.size;
         let rows = matching.window[1] as i64;
@@ -121,7 +121,7 @@ impl RowSums {
         }
     }
 
-    /// Adds the differences of one row, and takes those of another off.
+    /// Adds the differences of one row, and subtracts those of another.
     fn add_row(&mut self, images: &ImagePair, matching: &Matching, added: usize, removed: Option<usize>) {
         let (width, count) = (images.size[0], shift_count(matching));
         let place = |u: usize, v: usize| images.right_index(u as i64 - matching.shifts[0] as i64, v);
@@ -140,7 +140,7 @@ impl RowSums {
         }
     }
 
-    /// Sums the columns of each window of the row.
+    /// Sums up the columns of each window in the row.
     fn sum_windows(&mut self, matching: &Matching, width: usize) {
         let count = shift_count(matching);
         let columns = matching.window[0] as i64;
@@ -161,8 +161,7 @@ impl RowSums {
         }
     }
 
-    /// Replaces the sums of the row's windows by those along the best paths that end there; of the `first` row none comes from
-    /// above.
+    /// Replaces the costs of the row's windows by those of the best paths that end there; the `first` row has none from above.
     fn add_up_paths(&mut self, count: usize, penalties: [i16; 2], first: bool) {
         let Self { sums, from_above, last_row, from_left, from_right, .. } = self;
         from_left.clone_from(sums);
@@ -189,7 +188,7 @@ impl RowSums {
         }
     }
 
-    /// The best shift of each pixel of the second image.
+    /// Finds the best shift of each pixel of the second image.
     fn look_from_the_right(&mut self, images: &ImagePair, matching: &Matching) {
         let (width, count) = (images.size[0], shift_count(matching));
         let Self { sums, least_right, shift_right, .. } = self;
@@ -208,7 +207,7 @@ impl RowSums {
         }
     }
 
-    /// The shift of a pixel of the row to a fraction of a pixel.
+    /// Returns the shift of a pixel in the row, with a fraction of a pixel.
     fn best(&self, matching: &Matching, width: usize, u: usize) -> Option<f32> {
         let count = shift_count(matching);
         let sums = &self.sums[u * count..][..count];
@@ -231,7 +230,7 @@ impl RowSums {
     }
 }
 
-/// Takes for each disparity the mean of those about it that are of the same surface.
+/// Replaces each disparity by the mean of its neighbours on the same surface.
 fn smooth(width: usize, [columns, rows]: [usize; 2], disparities: &mut [f32]) {
     let (rough, height) = (disparities.to_vec(), disparities.len() / width);
     let near = |at: usize, side: usize, size: usize| at.saturating_sub(side / 2)..(at + side - side / 2).min(size);
@@ -249,7 +248,7 @@ fn smooth(width: usize, [columns, rows]: [usize; 2], disparities: &mut [f32]) {
     }
 }
 
-/// Removes regions of few pixels: what agrees with no neighbour is a chance match.
+/// Removes small regions: matches that agree with few neighbours are chance.
 fn remove_small_regions([width, height]: [usize; 2], smallest: usize, disparities: &mut [f32]) {
     let mut seen = vec![false; disparities.len()];
     for start in 0..disparities.len() {
@@ -280,7 +279,7 @@ fn remove_small_regions([width, height]: [usize; 2], smallest: usize, disparitie
     }
 }
 
-/// Adds to the sums of a pixel what the best path costs that comes from its neighbour, less what any such path costs.
+/// Adds to a pixel's costs those of the best path from its neighbour, minus what all paths have in common.
 #[inline]
 fn go_on(neighbor: &[i16], sums: &mut [i16], [small, large]: [i16; 2]) {
     let least = least_of(neighbor);
@@ -298,14 +297,14 @@ fn shift_count(matching: &Matching) -> usize {
     matching.shifts[1] + 1 - matching.shifts[0]
 }
 
-/// The least of the sums; the greatest number of none.
+/// Returns the least sum; the largest number for an empty slice.
 #[inline]
 fn least_of(sums: &[i16]) -> i16 {
     sums.iter().fold(i16::MAX, |least, sum| least.min(*sum))
 }
 
-/// Where between the neighbours of the least sum the minimum lies, in pixels from it. The parabola through the three is drawn to
-/// whole shifts, two straight lines of opposite slopes are drawn to halves: the mean of both is drawn to neither by much.
+/// Returns the position of the minimum relative to the least sum, in pixels. A parabola through three sums is biased towards
+/// whole shifts, and two straight lines of opposite slopes towards halves; their mean has little bias.
 fn between(before: i16, least: i16, after: i16) -> f32 {
     let (before, least, after) = (f32::from(before), f32::from(least), f32::from(after));
     let (curvature, slope) = (before + after - 2.0 * least, before.max(after) - least);

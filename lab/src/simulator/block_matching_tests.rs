@@ -11,7 +11,7 @@ const MATCHING: Matching = Matching {
     smallest_region_px: 1,
 };
 
-/// Random images of which the first is the second shifted, row by row.
+/// Random images; the first is the second shifted, row by row.
 fn shifted(shift: impl Fn(usize) -> i64) -> ImagePair {
     let (size, reach) = ([100, 40], 31);
     let mut images =
@@ -71,11 +71,11 @@ fn sums_that_run_on_are_those_of_each_window() {
 fn a_path_goes_on_with_the_least_penalty() {
     let mut sums = [100, 200, 300, 400];
     go_on(&[7, 17, 57, 9], &mut sums, [3, 20]);
-    // the same shift; one step from the left; one step from the right; two steps are as dear as one large one
+    // the same shift; one step from the left; one step from the right; two steps cost the same as a large one
     assert_eq!(sums, [100, 203, 305, 402]);
 }
 
-/// Shifts of smooth paths bear small windows, in which many shifts look alike.
+/// Smooth paths allow small windows, in which many shifts look alike.
 #[test]
 fn smooth_paths_leave_fewer_false_matches() {
     let step = |u: usize| if u < 50 { 6 } else { 20 };

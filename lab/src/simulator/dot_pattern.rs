@@ -1,23 +1,24 @@
-//! The pattern that a projector throws: dots of random place and brightness, still for ever.
+//! The pattern of a projector: dots of random position and brightness, which never change.
 
 use crate::random::CounterRng;
 
-/// Side of the piece that is repeated, in pixels of the camera; wider than any disparity.
+/// Side of the tile that is repeated, in pixels of the camera; wider than any disparity.
 const TILE_PX: usize = 512;
-/// Cells of the piece in a pixel, along each side.
+/// Cells per pixel, along each side.
 const CELLS: usize = 2;
 const SIDE: usize = TILE_PX * CELLS;
-/// The dimmest dot, of the brightest.
+/// Brightness of the dimmest dot, relative to the brightest.
 const DIMMEST: f64 = 0.4;
 
-/// Brightness over the projector's image.
+/// Brightness of the projector's image.
 #[derive(Clone, Debug)]
 pub struct DotPattern {
     cells: Vec<f32>,
 }
 
 impl DotPattern {
-    /// As many dots to a pixel, each a Gaussian of a standard deviation in pixels; where dots meet they add up.
+    /// Creates a pattern with this number of dots per pixel, each a Gaussian of this standard deviation in pixels; overlapping
+    /// dots add up.
     pub fn new(dots_per_px: f64, dot_sigma_px: f64, dice: &CounterRng) -> Self {
         let sigma = dot_sigma_px * CELLS as f64;
         let reach = (3.0 * sigma).ceil() as i64;
@@ -38,7 +39,7 @@ impl DotPattern {
         Self { cells }
     }
 
-    /// Brightness at a place in pixels, between the cells by straight lines.
+    /// Returns the brightness at a position in pixels, interpolated linearly between cells.
     #[inline]
     pub fn at(&self, x: f64, y: f64) -> f32 {
         let (x, y) = (x * CELLS as f64, y * CELLS as f64);

@@ -1,4 +1,4 @@
-//! How the numbers of a scene file are checked while it is read, so that an error names the line and the column.
+//! Checks numbers of a scene file while it is read, so that errors name line and column.
 
 use nalgebra::Vector3;
 use serde::Deserialize;
@@ -70,13 +70,13 @@ pub fn size<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vector3<f64>, 
     }
 }
 
-/// A direction of any length but zero; made a unit vector.
+/// A direction of any length but zero, normalised.
 pub fn direction<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vector3<f64>, D::Error> {
     let unit = vector(deserializer)?.try_normalize(1e-9);
     unit.ok_or_else(|| D::Error::custom("expected a direction, got a vector of length zero"))
 }
 
-/// A quaternion `[x, y, z, w]` of any length but zero; made a unit quaternion.
+/// A quaternion `[x, y, z, w]` of any length but zero, normalised.
 fn quaternion<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 4], D::Error> {
     let numbers = <[f64; 4]>::deserialize(deserializer)?;
     let length = numbers.iter().map(|number| number * number).sum::<f64>().sqrt();

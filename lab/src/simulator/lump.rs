@@ -1,4 +1,4 @@
-//! What is nearly round, rounded or creased: cushions, bags, clothes, limbs, heads, fruit. No such thing is an object.
+//! Nearly round, rounded or creased things: cushions, bags, clothes, limbs, heads, fruit. They are no objects.
 
 use super::block::Block;
 use super::fields::{finite, not_negative, vector};
@@ -8,9 +8,9 @@ use crate::bisection::end_of;
 use nalgebra::{Matrix3, Vector3};
 use serde::Deserialize;
 
-/// Most waves on the surface of a lump.
+/// Largest number of waves on the surface of a lump.
 pub const CREASES: usize = 4; // [algorithmic]
-/// A step along a ray is at least so long, in half-sizes: 0.1 mm of what is as large as a head.
+/// Shortest step along a ray, in half-sizes: 0.1 mm for something as large as a head.
 const LEAST_STEP: f64 = 1e-3; // [algorithmic]
 
 /// A superellipsoid (Barr, "Superquadrics and angle-preserving transformations", 1981) with waves on its surface.
@@ -25,11 +25,11 @@ pub struct Lump {
     pub center: Vector3<f64>,
     /// Directions of its own axes, as columns.
     pub axes: Matrix3<f64>,
-    /// Half of its size along each.
+    /// Half of its size along each axis.
     pub half: Vector3<f64>,
-    /// Logarithms to base two of the exponents across its third axis and along it: 1 is round.
+    /// Base-2 logarithms of the exponents across its third axis and along it; 1 is round.
     pub squareness: [u32; 2],
-    /// What creases it.
+    /// Its waves.
     pub creases: [Crease; CREASES],
 }
 
@@ -48,7 +48,7 @@ pub struct Crease {
     pub height: f64,
 }
 
-/// Norm of two numbers, of the exponent `2^log2`, and the share of each in it: its derivatives by them.
+/// Returns the norm of two numbers for the exponent `2^log2`, and its derivatives by them.
 fn norm(a: f64, b: f64, log2: u32) -> (f64, [f64; 2]) {
     let largest = a.abs().max(b.abs());
     if largest == 0.0 {
@@ -59,7 +59,7 @@ fn norm(a: f64, b: f64, log2: u32) -> (f64, [f64; 2]) {
         lower = [lower[0] * powers[0], lower[1] * powers[1]];
         powers = powers.map(|power| power * power);
     }
-    // `lower` is now the power of the exponent less one.
+    // `lower` is now the power with the exponent minus one.
     let mut root = powers[0] + powers[1];
     let sum = root;
     (0..log2).for_each(|_| root = root.sqrt());
@@ -67,12 +67,12 @@ fn norm(a: f64, b: f64, log2: u32) -> (f64, [f64; 2]) {
 }
 
 impl Lump {
-    /// A direction or a difference in its own axes, in half-sizes.
+    /// Converts a direction or difference to the lump's own axes, in half-sizes.
     fn inwards(&self, vector: &Vector3<f64>) -> Vector3<f64> {
         self.axes.tr_mul(vector).component_div(&self.half)
     }
 
-    /// How far a point, in half-sizes, is outside, and the gradient of that.
+    /// Returns how far outside a point (in half-sizes) is, and the gradient of that.
     fn outside(&self, q: &Vector3<f64>) -> (f64, Vector3<f64>) {
         let (across, [by_x, by_y]) = norm(q.x, q.y, self.squareness[0]);
         let (size, [by_across, by_z]) = norm(across, q.z, self.squareness[1]);
@@ -85,20 +85,20 @@ impl Lump {
         (value, gradient)
     }
 
-    /// The largest height of all waves together.
+    /// Returns the sum of the heights of all waves.
     fn swell(&self) -> f64 {
         self.creases.iter().map(|crease| crease.height.abs()).sum()
     }
 
-    /// The box around it.
+    /// Returns the bounding box.
     pub(super) fn hull(&self) -> Block {
         Block { center: self.center, axes: self.axes, half: self.half * (1.0 + self.swell()) }
     }
 }
 
 impl Surface for Lump {
-    /// The value of [`Lump::outside`] changes by no more than its steepest gradient per half-size, so that a step of the value
-    /// over that cannot jump across the surface (sphere tracing: Hart 1996).
+    /// [`Lump::outside`] changes per half-size by no more than its steepest gradient, so that a step of its value divided by that
+    /// cannot jump across the surface (sphere tracing: Hart 1996).
     fn hit(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
         let Some([enter, leave]) = self.hull().crossings(origin, direction) else { return f64::INFINITY };
         let (from, along) = (self.inwards(&(origin - self.center)), self.inwards(direction));
@@ -146,7 +146,7 @@ mod tests {
         Lump { center: Vector3::new(0.1, -0.05, 1.5), axes, half: half.into(), squareness, creases: Default::default() }
     }
 
-    /// Rays through all of an image.
+    /// Rays through the whole image.
     fn rays() -> impl Iterator<Item = Vector3<f64>> {
         (-20..=20).flat_map(|v| (-20..=20).map(move |u| Vector3::new(f64::from(u) * 0.01, f64::from(v) * 0.01, 1.0)))
     }
@@ -194,7 +194,7 @@ mod tests {
         let (mut met, mut farthest) = (0, 0.0_f64);
         for ray in rays() {
             let z = lump.hit(&Vector3::zeros(), &ray);
-            // Small steps along the ray find no surface before, at the most one that is grazed.
+            // Small steps along the ray find no surface before, except perhaps one that is grazed.
             let outside = |z: f64| lump.outside(&lump.inwards(&(ray * z - lump.center))).0;
             let first = (0..4000).map(|step| 1.0 + f64::from(step) * 2.5e-4).find(|&z| outside(z) < -1e-4);
             let Some(first) = first else { continue };

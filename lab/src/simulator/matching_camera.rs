@@ -1,10 +1,10 @@
-//! A depth camera that compares two images of a projected dot pattern: those of two eyes (stereo), or that of one eye with
-//! the pattern itself, which it has stored (structured light).
+//! A depth camera that compares two images of a projected dot pattern: those of two eyes (stereo), or that of one eye with the
+//! stored pattern (structured light).
 //!
-//! Both are rendered from the scene and matched block by block. Noise that neighbours share, silhouettes off by a part of a
-//! window, the band that the second eye or the projector does not see, and holes where a surface is too steep or too thin
-//! come from that alone. What matching cannot make is added: a bend of the lens that stays ([`waves`]), and whole steps of
-//! the disparity.
+//! The images are rendered from the scene and matched block by block. This alone produces correlated noise of neighbours,
+//! silhouettes shifted by a part of a window, the band that the second eye or the projector does not see, and holes where a
+//! surface is too steep or too thin. Two effects are added that matching does not produce: a constant bend of the lens
+//! ([`waves`]), and steps of the disparity.
 
 use super::block_matching::{BRIGHTEST, ImagePair, LARGEST_WINDOW, Matching, disparities};
 use super::dot_pattern::DotPattern;
@@ -19,23 +19,23 @@ use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Brightness of an image where no dot falls, so that its noise is not cut off at black.
+/// Brightness of an image without a dot, so that its noise is not clipped at black.
 const AMBIENT: f32 = 8.0;
-/// Brightness that a full dot adds; two that meet may be too bright.
+/// Brightness that a full dot adds; overlapping dots may saturate.
 const DOT: f32 = 44.0;
-/// Dots of the pattern to a pixel of the image.
+/// Dots of the pattern per pixel of the image.
 const DOTS_PER_PX: f64 = 0.1;
-/// What a step of the disparity by one pixel, and by more, costs along a scan line.
+/// Costs of a step of the disparity by one pixel, and by more, along a scan line.
 const STEP_PENALTIES: [i16; 2] = [(0.7 * DOT) as i16, (4.0 * DOT) as i16];
-/// By what share the best match has to be better than all others, else nothing is measured.
+/// Share by which the best match has to be better than all others; else there is no measurement.
 const UNIQUENESS: f64 = 0.1;
-/// By how many pixels the match from the second eye back may differ, else nothing is measured.
+/// Largest difference in pixels of the match from the second eye back; else there is no measurement.
 const LEFT_RIGHT_PX: usize = 1;
 /// Regions of fewer pixels are not measured.
 const SMALLEST_REGION_PX: usize = 100;
-/// Standard deviation of the disparity on planes that the frames tell of, in pixels: that of real cameras of both kinds.
+/// Standard deviation of the disparity on planes in the frames' noise model, in pixels: that of real cameras of both kinds.
 const TOLD_NOISE_PX: f64 = 0.075;
-/// What the dice of the camera itself are drawn under, apart from those of its frames.
+/// Number of the random sequence for the camera itself, distinct from those of its frames.
 const OF_THE_CAMERA: u64 = u64::MAX;
 
 /// Numbers of a camera of one's own; one that is left out is that of the RealSense D400 series, or of a Kinect v1.
@@ -54,7 +54,7 @@ pub struct MatchingNumbers {
 }
 
 impl MatchingNumbers {
-    /// What is wrong with the window.
+    /// Returns what is wrong with the window, if anything.
     pub fn fault(&self) -> Option<String> {
         let [columns, rows] = self.window_px?;
         let fits = columns > 0 && rows > 0 && columns.saturating_mul(rows) <= LARGEST_WINDOW;
@@ -63,33 +63,33 @@ impl MatchingNumbers {
     }
 }
 
-/// How a camera is built.
+/// The design of a camera.
 #[derive(Clone, Copy, Debug)]
 struct Design {
-    /// Whether the second image is a second eye's, not the stored pattern.
+    /// Whether the second image is that of a second eye, and not the stored pattern.
     second_eye: bool,
     baseline_m: f64,
-    /// Place of the projector to the right of the first eye, in metres.
+    /// Position of the projector to the right of the first eye, in metres.
     projector_m: f64,
     window_px: [u32; 2],
     /// Columns and rows of the window over which the camera averages disparities of one surface, in pixels of the image.
     smoothing_px: [usize; 2],
-    /// Steps of the disparity to a pixel.
+    /// Steps of the disparity per pixel.
     steps_per_px: f64,
     /// Size of a dot, as the standard deviation of its brightness, in pixels.
     dot_sigma_px: f64,
     image_noise: f64,
-    /// Bend of the lens that stays from frame to frame, as a standard deviation of the disparity in pixels.
+    /// Constant bend of the lens, as a standard deviation of the disparity in pixels.
     bend_px: f64,
-    /// How far the bend's waves reach, in pixels of the image.
+    /// Length of the bend's waves, in pixels of the image.
     bend_length_px: f64,
-    /// Least and greatest depth that is measured, in metres.
+    /// Least and greatest measured depth, in metres.
     range_m: [f64; 2],
 }
 
-/// A camera of the RealSense D400 series. Window, smoothing, noise and bend give planes the sigma and the autocorrelation of the
-/// recordings of a table by a camera of this class (`conicflow run experiments/planes.toml`, and `experiments/noise.toml` for
-/// recordings), and the profile across a tin.
+/// A camera of the RealSense D400 series. Window, smoothing, noise and bend are chosen so that planes have the sigma and the
+/// autocorrelation of recordings of a table by such a camera (`conicflow run experiments/planes.toml`, and
+/// `experiments/noise.toml` for recordings), and a tin has the recorded profile.
 const STEREO: Design = Design {
     second_eye: true,
     baseline_m: 0.055,
@@ -104,7 +104,7 @@ const STEREO: Design = Design {
     range_m: [0.28, 10.0],
 };
 
-/// A Kinect v1. Window, smoothing, noise and bend as for [`STEREO`], from recordings of three cameras of this kind.
+/// A Kinect v1. Window, smoothing, noise and bend are chosen as for [`STEREO`], from recordings of three such cameras.
 const STRUCTURED_LIGHT: Design = Design {
     second_eye: false,
     baseline_m: 0.075,
@@ -124,7 +124,7 @@ impl Design {
         let baseline_m = numbers.baseline_m.unwrap_or(self.baseline_m);
         Self {
             baseline_m,
-            // What has one eye measures from it to the projector.
+            // With one eye, the base line leads from it to the projector.
             projector_m: if self.second_eye { self.projector_m } else { baseline_m },
             window_px: numbers.window_px.unwrap_or(self.window_px),
             image_noise: numbers.image_noise.unwrap_or(self.image_noise),
@@ -141,18 +141,18 @@ pub struct MatchingCamera {
     pattern: DotPattern,
     /// Bend of the disparity, in pixels.
     bend: Vec<f64>,
-    /// What the second eye sees; wider than the image.
+    /// The image of the second eye, which is wider than the first.
     second: Raster,
     images: ImagePair,
 }
 
 impl MatchingCamera {
-    /// A camera of two eyes; its pattern and its bend are those of a seed.
+    /// Creates a camera with two eyes; its pattern and its bend follow from the seed.
     pub fn stereo(numbers: MatchingNumbers, camera: &Camera, seed: u64) -> Self {
         Self::new(STEREO.with(numbers), camera, seed)
     }
 
-    /// A camera of one eye that knows the pattern.
+    /// Creates a camera with one eye that knows the pattern.
     pub fn structured_light(numbers: MatchingNumbers, camera: &Camera, seed: u64) -> Self {
         Self::new(STRUCTURED_LIGHT.with(numbers), camera, seed)
     }
@@ -184,15 +184,15 @@ impl MatchingCamera {
         this
     }
 
-    /// The depth noise that the frames tell of, for a focal length in pixels.
+    /// Returns the depth noise for the frames' headers, for a focal length in pixels.
     pub fn noise_model(&self, fx: f64) -> NoiseModel {
         let Design { baseline_m, steps_per_px, .. } = self.design;
         let step_per_m = 1.0 / (steps_per_px * fx * baseline_m);
         NoiseModel { floor_m: 0.0, growth_per_m: TOLD_NOISE_PX / (fx * baseline_m), knee_m: 0.0, step_per_m }
     }
 
-    /// Measures a rendered image of `shapes` (camera frame): the depth of each pixel in metres, not a number where there is
-    /// none.
+    /// Measures a rendered image of `shapes` (camera frame); returns the depth of each pixel in metres, NaN without a
+    /// measurement.
     pub fn measure(&mut self, raster: &Raster, shapes: &[Shape], dice: &CounterRng) -> Vec<f64> {
         self.look(raster, shapes, dice);
         let Design { baseline_m, steps_per_px, range_m: [least, greatest], .. } = self.design;
@@ -205,7 +205,7 @@ impl MatchingCamera {
         disparities(&self.images, &self.matching).iter().zip(&self.bend).map(depth).collect()
     }
 
-    /// Takes the images.
+    /// Renders both images.
     fn look(&mut self, raster: &Raster, shapes: &[Shape], dice: &CounterRng) {
         let Design { second_eye, baseline_m, projector_m: projector, image_noise, .. } = self.design;
         let shadow = shadow::cast(raster, shapes, projector);
@@ -229,7 +229,7 @@ impl MatchingCamera {
         }
     }
 
-    /// The second image of a camera that knows its pattern.
+    /// Renders the second image of a camera that knows its pattern.
     fn store_the_pattern(&mut self) {
         let [width, height] = self.images.size;
         let camera = &self.second.camera;
@@ -244,8 +244,8 @@ impl MatchingCamera {
     }
 }
 
-/// Light of the pattern that a pixel sees, from a projector at a place to the right of it. That light falls with the squared
-/// distance does not show: cameras compare contrasts.
+/// Returns the light of the pattern at a pixel, from a projector `projector_m` metres to the right of the eye. The decrease of
+/// light with the squared distance is left out, as cameras compare contrasts.
 fn light(pattern: &DotPattern, raster: &Raster, shadow: &[bool], index: usize, projector_m: f64) -> f32 {
     if raster.owner[index] == NOBODY || shadow[index] {
         return 0.0;
@@ -257,12 +257,12 @@ fn light(pattern: &DotPattern, raster: &Raster, shadow: &[bool], index: usize, p
     pattern_at(pattern, camera, u - camera.cx - shift, v)
 }
 
-/// The pattern so many pixels to the right of the projector's axis; rows count in the unit of columns, so that dots are round.
+/// Returns the pattern `x` pixels to the right of the projector's axis; rows are scaled to columns, so that dots are round.
 fn pattern_at(pattern: &DotPattern, camera: &Camera, x: f64, v: usize) -> f32 {
     pattern.at(x, (v as f64 - camera.cy) * (camera.fx / camera.fy))
 }
 
-/// The brightness that an eye makes of light.
+/// Returns the brightness of a pixel for this light.
 fn exposed(light: f32, noise: f64, dice: &CounterRng, counter: u64) -> i16 {
     let noisy = light + (noise * dice.gaussian(counter)) as f32;
     (AMBIENT + DOT * noisy + 0.5).clamp(0.0, f32::from(BRIGHTEST)) as i16

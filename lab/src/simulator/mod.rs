@@ -1,9 +1,9 @@
-//! A depth camera that is simulated exactly: rays are cut with the shapes of a scene file in closed form, a model of the
-//! sensor spoils the depth as a real one would, and the true objects are known.
+//! A depth camera that is simulated exactly: rays are intersected with the shapes of a scene file in closed form, a model of the
+//! sensor adds its errors, and the true objects are known.
 //!
-//! The walk of a frame: [`scene`] (what is where at this time, by [`motion`]) -> [`raster`] (exact depth, by [`shapes`])
-//! -> [`sensor`] (noise, silhouettes, shadow, lost points), or [`simulated_sensor`] (what the sensor itself sees and makes of
-//! it) -> pixels; and from the raster to [`truth`].
+//! The steps of a frame: [`scene`] (poses at this time, by [`motion`]) -> [`raster`] (exact depth, by [`shapes`]) -> [`sensor`]
+//! (noise, silhouettes, shadow, lost points) or [`simulated_sensor`] (the sensor's own images, and depths from these) -> pixels;
+//! and from the raster to [`truth`].
 
 mod block;
 mod block_matching;
@@ -49,9 +49,9 @@ use simulated_sensor::{SensorSimulation, SimulatedSensor};
 use std::path::{Path, PathBuf};
 use truth::{Truth, truth_of};
 
-/// Frame rate of simulated time where frames are made as fast as they are taken.
+/// Frame rate of simulated time if frames are produced as fast as possible.
 pub const UNPACED_RATE_HZ: f64 = 30.0;
-/// A depth camera in a scene. Each frame is a function of its number, the seed and where the camera was driven to.
+/// A depth camera in a scene. Each frame depends only on its number, the seed and the position to which the camera was driven.
 #[derive(Clone, Debug)]
 pub struct SyntheticCamera {
     scene: Scene,
@@ -68,7 +68,7 @@ pub struct SyntheticCamera {
 }
 
 impl SyntheticCamera {
-    /// A camera of `rate_hz` frames per second (above 0) whose pixels count `depth_scale` metres.
+    /// Creates a camera with `rate_hz` frames per second (above 0) and `depth_scale` metres per unit of its pixels.
     pub fn new(scene: Scene, camera: Camera, noise: SensorConfig, depth_scale: f64, rate_hz: f64, seed: u64) -> Self {
         let sensor = Sensor::new(noise, depth_scale);
         let (raster, shapes, told_noise) = (Raster::new(camera), Vec::new(), sensor.noise_model());
@@ -87,24 +87,24 @@ impl SyntheticCamera {
         }
     }
 
-    /// The same camera before another random scene in each frame.
+    /// Returns the camera with another random scene in each frame.
     pub fn before(self, scenes: RandomScenes) -> Self {
         Self { scenes: Some(scenes), ..self }
     }
 
-    /// The same camera with a sensor that is simulated, in place of its noise alone.
+    /// Returns the camera with a simulated sensor instead of a noise model.
     pub fn with_sensor(self, sensor: SimulatedSensor) -> Self {
         let camera = self.raster.camera;
         let simulation = SensorSimulation::new(sensor, &camera, self.depth_scale, self.seed);
         Self { told_noise: simulation.noise_model(&camera), simulation: Some(simulation), ..self }
     }
 
-    /// The same camera, whose headers tell of this noise in place of what the sensor has.
+    /// Returns the camera with another noise model in its headers than that of the sensor.
     pub fn telling(self, noise: NoiseModel) -> Self {
         Self { told_noise: noise, ..self }
     }
 
-    /// Moves the camera for one frame by a velocity, besides the motion that the scene has; it does not turn.
+    /// Moves the camera by a velocity for one frame, in addition to the scene's motion; it does not rotate.
     pub fn drive(&mut self, velocity: &Velocity) {
         let linear = Vector3::from(velocity.linear);
         let in_world = match velocity.frame() {
@@ -114,7 +114,7 @@ impl SyntheticCamera {
         self.scene.camera_shift += in_world / self.rate_hz;
     }
 
-    /// Takes frame `number`: writes as many pixels as the camera has, row by row.
+    /// Takes frame `number`: writes the camera's pixels, row by row.
     pub fn shoot(&mut self, number: u64, pixels: &mut [u16]) {
         self.time_s = number as f64 / self.rate_hz;
         let mut noise = number;
@@ -132,7 +132,7 @@ impl SyntheticCamera {
         self.see_through_glass(pixels);
     }
 
-    /// Takes frame `number`: what its header tells, and its pixels.
+    /// Takes frame `number`, and returns its header and pixels.
     pub fn frame(&mut self, number: u64) -> (Header, Vec<u16>) {
         let Camera { width, height, .. } = self.raster.camera;
         let (mut header, mut pixels) = (Header::default(), vec![0; width as usize * height as usize]);
@@ -141,7 +141,7 @@ impl SyntheticCamera {
         (header, pixels)
     }
 
-    /// Glass gives no depth.
+    /// Removes the depths of glass.
     fn see_through_glass(&self, pixels: &mut [u16]) {
         if self.scene.bodies.iter().all(|body| body.role != Role::Glass) {
             return;
@@ -153,27 +153,27 @@ impl SyntheticCamera {
         }
     }
 
-    /// The true objects of the frame that was taken last.
+    /// Returns the true objects of the last frame.
     pub fn truth(&self) -> Vec<Truth> {
         truth_of(&self.scene, self.time_s, &self.raster, &self.shapes)
     }
 
-    /// Name of the scene of the frame that was taken last.
+    /// Returns the name of the last frame's scene.
     pub fn scene_name(&self) -> &str {
         &self.scene.name
     }
 
-    /// When frame `number` is taken, in seconds of simulated time.
+    /// Returns the simulated time of frame `number`, in seconds.
     pub fn time_of(&self, number: u64) -> f64 {
         number as f64 / self.rate_hz
     }
 
-    /// The exact depth of the frame that was taken last.
+    /// Returns the exact depth of the last frame.
     pub fn raster(&self) -> &Raster {
         &self.raster
     }
 
-    /// Fills in what a header tells of the frame that was taken last.
+    /// Fills in the header of the last frame.
     pub fn describe(&self, header: &mut Header) {
         header.camera = self.raster.camera;
         header.depth_scale = self.depth_scale;
@@ -190,9 +190,9 @@ impl SyntheticCamera {
 pub struct SimulatorParameters {
     /// Scene file, or the name of a built-in scene; none: `bouncing_ball`.
     pub scene: Option<PathBuf>,
-    /// Values of the scene file, in place of those that stand under its `[values]`.
+    /// Values of the scene file, instead of the defaults under its `[values]`.
     pub values: Values,
-    /// Another random scene in each frame: `{ groups = ["standing", ...], seeds = [first, last] }`; in place of `scene`.
+    /// Another random scene in each frame, instead of `scene`: `{ groups = ["standing", ...], seeds = [first, last] }`.
     pub scenes: Option<RandomScenes>,
     /// Width of the image in pixels.
     #[schemars(range(min = 1, max = 4096))]
@@ -202,19 +202,20 @@ pub struct SimulatorParameters {
     pub height: u32,
     /// Intrinsics in pixels; none: those of a Kinect v1, scaled to the width.
     pub intrinsics: Option<Intrinsics>,
-    /// Frames per second; 0: as fast as they are taken, simulated time goes at 30 then.
+    /// Frames per second; 0: as fast as they are taken, with 30 per second in simulated time.
     #[schemars(range(min = 0.0, max = 1000.0))]
     pub rate_hz: f64,
     /// Number of frames; 0: without end, of random scenes one for each.
     pub frames: u64,
     /// Seed of the noise.
     pub seed: u64,
-    /// What the sensor does to the depth: "kinect_v1", "realsense_d435", "time_of_flight", "ideal" or a table.
+    /// Errors of the sensor: "kinect_v1", "realsense_d435", "time_of_flight", "ideal" or a table.
     pub noise: SensorConfig,
-    /// The sensor itself in place of its noise: "stereo" (as a RealSense D400), "structured_light" (as a Kinect v1), both by
-    /// matching blocks of rendered images, "time_of_flight", or a table such as `{ stereo = { baseline_m = 0.05 } }`.
+    /// A simulation of the sensor itself, instead of `noise`: "stereo" (as a RealSense D400), "structured_light" (as a Kinect
+    /// v1), both by matching blocks of rendered images, "time_of_flight", or a table such as `{ stereo = { baseline_m = 0.05 }
+    /// }`.
     pub sensor: Option<SimulatedSensor>,
-    /// The depth noise that the frames tell of in place of that of `noise`, to see what a wrong model does.
+    /// Depth noise in the frames' headers, if not that of the sensor, to see the effect of a wrong model.
     pub told_noise: Option<NoiseConfig>,
     /// Metres per unit of a depth pixel.
     #[schemars(range(min = 1e-6, max = 1.0))]
@@ -245,14 +246,14 @@ impl Default for SimulatorParameters {
 }
 
 impl SimulatorParameters {
-    /// Number of frames in all, where there is an end.
+    /// Returns the number of all frames; `None` if there is no end.
     pub fn total(&self) -> Option<u64> {
         let wanted = (self.frames > 0).then_some(self.frames);
         let there = self.scenes.as_ref().map(RandomScenes::frames);
         wanted.into_iter().chain(there).min()
     }
 
-    /// The camera that the parameters describe; a Kinect v1 has a focal length of 525 pixels at 640x480.
+    /// Returns the configured camera; by default a Kinect v1, with a focal length of 525 pixels at 640x480.
     pub fn camera(&self) -> Camera {
         let (width, height) = (self.width, self.height);
         let focal = 525.0 * f64::from(width) / 640.0;
@@ -275,10 +276,10 @@ impl SimulatorParameters {
         }
     }
 
-    /// The camera in its scene.
+    /// Creates the camera in its scene.
     ///
     /// # Errors
-    /// The scene cannot be used.
+    /// The scene is not valid.
     pub fn open(self, base: &Path) -> Result<SyntheticCamera> {
         let scene = self.load_scene(base)?;
         let rate_hz = if self.rate_hz > 0.0 { self.rate_hz } else { UNPACED_RATE_HZ };
@@ -295,7 +296,7 @@ impl SimulatorParameters {
         Ok(camera)
     }
 
-    /// What types and ranges cannot tell: values that exclude each other, files that are missing.
+    /// Returns the faults that types and ranges do not exclude: values that contradict each other, missing files.
     pub fn faults(&self, base: &Path) -> Vec<ConfigFault> {
         let mut faults = Vec::new();
         if let Err(error) = self.load_scene(base) {

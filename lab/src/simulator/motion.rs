@@ -1,12 +1,12 @@
-//! How objects and the camera of a scene move: where they are is a function of time alone, so that any frame can be
-//! made without the ones before it.
+//! The motion of a scene's objects and camera: positions are functions of time alone, so that any frame can be made without the
+//! earlier ones.
 
 use super::fields::{not_negative, share, vector};
 use nalgebra::Vector3;
 use serde::Deserialize;
 use serde::de::{Deserializer, Error};
 
-/// A motion, as it stands in a scene file: `motion.linear`, `motion.ballistic` or `motion.path`.
+/// A motion in a scene file: `motion.linear`, `motion.ballistic` or `motion.path`.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Motion {
@@ -34,13 +34,13 @@ pub struct Ballistic {
     /// Velocity at time 0, in metres per second.
     #[serde(deserialize_with = "vector")]
     pub velocity: Vector3<f64>,
-    /// Share of the speed that a bounce leaves: 1 bounces for ever, 0 stays down.
+    /// Share of the speed after a bounce: with 1 it bounces for ever, with 0 it stays down.
     #[serde(default = "most", deserialize_with = "share")]
     pub restitution: f64,
     /// Height of the floor, along the scene's `up`, in metres.
     #[serde(default)]
     pub floor_m: f64,
-    /// Two points: it turns back, without loss, at the upright planes through them.
+    /// Two points: it is reflected without loss at the vertical planes through them.
     #[serde(default)]
     pub between: Option<[[f64; 3]; 2]>,
 }
@@ -56,27 +56,27 @@ pub struct Path {
     /// Way points, in order of their times.
     #[serde(deserialize_with = "way_points")]
     pub points: Vec<WayPoint>,
-    /// Round the corners: a cubic through the way points in place of straight lines.
+    /// Interpolates the way points by a cubic instead of straight lines.
     #[serde(default)]
     pub smooth: bool,
-    /// What follows the last way point.
+    /// The motion after the last way point.
     #[serde(default)]
     pub then: Then,
 }
 
-/// A place at a time.
+/// A position at a time.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WayPoint {
     /// Seconds.
     #[serde(deserialize_with = "not_negative")]
     pub t_s: f64,
-    /// Displacement from the place that the scene file states, in metres.
+    /// Displacement from the position in the scene file, in metres.
     #[serde(deserialize_with = "vector")]
     pub offset: Vector3<f64>,
 }
 
-/// What follows the last way point of a [`Path`].
+/// The motion after the last way point of a [`Path`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Then {
@@ -85,7 +85,7 @@ pub enum Then {
     Stay,
     /// It starts again at the first one.
     Repeat,
-    /// It goes back the way it came, and so on.
+    /// It goes back and forth along the path.
     Return,
 }
 
@@ -103,21 +103,21 @@ fn way_points<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<WayPoint
     }
 }
 
-/// What a motion has to know of the thing that moves.
+/// The properties of the moving thing and its surroundings that a motion needs.
 #[derive(Clone, Copy, Debug)]
 pub struct Setting {
     /// Unit vector.
     pub up: Vector3<f64>,
     /// Acceleration of free fall, in m/s^2.
     pub gravity: f64,
-    /// The point that the scene file places.
+    /// The point whose position the scene file gives.
     pub anchor: Vector3<f64>,
-    /// How far the thing reaches below that point, in metres.
+    /// Distance that the thing reaches below that point, in metres.
     pub reach_below: f64,
 }
 
 impl Motion {
-    /// Displacement at a time, in metres from where it is placed in the scene file.
+    /// Returns the displacement at a time from the position in the scene file, in metres.
     pub fn displacement(&self, time_s: f64, setting: &Setting) -> Vector3<f64> {
         match self {
             Self::Linear(linear) => linear.velocity * time_s,
@@ -126,7 +126,7 @@ impl Motion {
         }
     }
 
-    /// What makes the motion impossible, if anything.
+    /// Returns why the motion is impossible, if it is.
     pub fn fault(&self, setting: &Setting) -> Option<String> {
         let Self::Ballistic(ballistic) = self else { return None };
         let height = ballistic.height_over_floor(setting);
@@ -146,7 +146,7 @@ impl Ballistic {
         setting.anchor.dot(&setting.up) - setting.reach_below - self.floor_m
     }
 
-    /// Distance from the first of the two upright planes, the unit vector to the second, and the distance between them.
+    /// Returns the distance from the first vertical plane, the unit vector to the second, and the distance between them.
     fn lane(&self, setting: &Setting) -> Option<(f64, Vector3<f64>, f64)> {
         let [first, second] = self.between?.map(Vector3::from);
         let across = second - first;
@@ -172,7 +172,7 @@ impl Ballistic {
     }
 }
 
-/// Height at a time of a point that starts at `height >= 0` with a speed upwards, under gravity, above a floor at 0.
+/// Returns the height at a time of a point that starts at `height >= 0` with an upward speed, under gravity, above a floor at 0.
 ///
 /// Between two bounces `h(t) = h0 + v t - g t^2 / 2`; a bounce turns the speed `v` into `restitution v`.
 fn bounce(height: f64, upwards: f64, gravity: f64, restitution: f64, time_s: f64) -> f64 {
@@ -197,7 +197,7 @@ fn bounce(height: f64, upwards: f64, gravity: f64, restitution: f64, time_s: f64
     if speed > RESTS { fly(0.0, speed, left) } else { 0.0 }
 }
 
-/// Folds a way along a line into [0, width], as if it were reflected at both ends.
+/// Folds a distance along a line into [0, width], as if reflected at both ends.
 fn to_and_fro(way: f64, width: f64) -> f64 {
     let turn = way.rem_euclid(2.0 * width);
     turn.min(2.0 * width - turn)
@@ -218,7 +218,7 @@ impl Path {
         }
     }
 
-    /// Velocity at a time, in metres per second; from where it changes at once, that from then on.
+    /// Returns the velocity at a time, in metres per second; at a sudden change, the later one.
     pub fn velocity(&self, time_s: f64) -> Vector3<f64> {
         let (time_s, pace) = self.on_the_way(time_s);
         let next = self.points.partition_point(|point| point.t_s <= time_s);
@@ -232,7 +232,7 @@ impl Path {
         }
     }
 
-    /// Which time among those of the way points it is, and how fast that goes: 1, -1 on the way back, 0 where it stays.
+    /// Returns the time within the range of the way points, and its rate: 1, -1 on the way back, 0 at rest.
     fn on_the_way(&self, time_s: f64) -> (f64, f64) {
         let (first, last) = (self.points[0].t_s, self.points[self.points.len() - 1].t_s);
         let (span, since) = (last - first, time_s - first);
@@ -247,8 +247,8 @@ impl Path {
         }
     }
 
-    /// Place and velocity on a cubic Hermite spline whose velocity at a way point is that between its neighbours (Catmull and
-    /// Rom, 1974); at rest at both ends.
+    /// Returns position and velocity on a cubic Hermite spline, whose velocity at a way point is the mean one between its
+    /// neighbours (Catmull and Rom, 1974); at rest at both ends.
     fn cubic(&self, previous: usize, time_s: f64) -> [Vector3<f64>; 2] {
         let (from, to) = (self.points[previous], self.points[previous + 1]);
         let span = to.t_s - from.t_s;

@@ -1,9 +1,9 @@
-//! Noise that neighbouring pixels share, as of a camera that compares windows of two images.
+//! Correlated noise of neighbouring pixels, as of a camera that compares windows of two images.
 
 use conicflow_messages::Camera;
 
-/// Normal deviates of variance one for each pixel of an image, each the sum of `window` times `window` of those that `deviate`
-/// gives, over `window`. What leaves the image on one side comes back on the other.
+/// Returns normal deviates of variance one for each pixel: each is the sum of `window` x `window` deviates from `deviate`,
+/// divided by `window`. Windows wrap around at the image's borders.
 pub(super) fn noise_field(camera: &Camera, window: usize, deviate: impl Fn(usize) -> f64) -> Vec<f64> {
     let (width, height) = (camera.width as usize, camera.height as usize);
     let deviates: Vec<f64> = (0..width * height).map(deviate).collect();

@@ -1,4 +1,4 @@
-//! Rigid transforms, and the frame of a camera that looks somewhere.
+//! Rigid transforms, and the frame of a camera that looks in a direction.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -12,38 +12,38 @@ pub struct Pose {
 }
 
 impl Pose {
-    /// A shift without a turn.
+    /// Returns a translation without a rotation.
     pub fn shift(translation: Vector3<f64>) -> Self {
         Self { rotation: Matrix3::identity(), translation }
     }
 
-    /// The point in the target frame.
+    /// Returns a point in the target frame.
     pub fn point(&self, point: &Vector3<f64>) -> Vector3<f64> {
         self.rotation * point + self.translation
     }
 
-    /// `source_from_target`.
+    /// Returns `source_from_target`.
     pub fn inverse(&self) -> Self {
         let rotation = self.rotation.transpose();
         Self { rotation, translation: -(rotation * self.translation) }
     }
 
-    /// Row-major `[R | t]`, as it stands in a header.
+    /// Returns the row-major `[R | t]` of a header.
     pub fn rows(&self) -> [[f64; 4]; 3] {
         let (r, t) = (&self.rotation, &self.translation);
         [0, 1, 2].map(|i| [r[(i, 0)], r[(i, 1)], r[(i, 2)], t[i]])
     }
 }
 
-/// `world_from_camera` rotation of an optical frame (x right, y down, z forward) that looks along `forward`, with `up`
-/// upwards in the image; `None` if the two are parallel.
+/// Returns the `world_from_camera` rotation of an optical frame (x right, y down, z forward) that looks along `forward`, with
+/// `up` upwards in the image; `None` if the two are parallel.
 pub fn looking_along(forward: &Vector3<f64>, up: &Vector3<f64>) -> Option<Matrix3<f64>> {
     let z = forward.try_normalize(1e-9)?;
     let x = z.cross(up).try_normalize(1e-9)?;
     Some(Matrix3::from_columns(&[x, z.cross(&x), z]))
 }
 
-/// Rotation of a unit quaternion `[x, y, z, w]`.
+/// Returns the rotation of a unit quaternion `[x, y, z, w]`.
 pub fn from_quaternion([x, y, z, w]: [f64; 4]) -> Matrix3<f64> {
     Matrix3::new(
         1.0 - 2.0 * (y * y + z * z),

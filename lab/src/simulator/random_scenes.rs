@@ -1,4 +1,4 @@
-//! Which random scene each frame of a run shows.
+//! The random scenes of a run, one per frame.
 
 use super::random_scene::{MAX_ROLL_DEG, SceneGroup, rolled_scene};
 use super::scene::Scene;
@@ -15,7 +15,7 @@ pub struct RandomScenes {
     pub groups: Vec<SceneGroup>,
     /// First and last seed.
     pub seeds: [u64; 2],
-    /// How far the camera is rolled to its right, beside the 6 degrees at most that it is to either side, in degrees.
+    /// Roll of the camera to its right, in degrees, in addition to a random one of up to 6 degrees to either side.
     #[schemars(range(min = -MAX_ROLL_DEG, max = MAX_ROLL_DEG))]
     pub roll_deg: f64,
 }
@@ -27,27 +27,27 @@ impl Default for RandomScenes {
 }
 
 impl RandomScenes {
-    /// How many frames that makes.
+    /// Number of frames.
     pub fn frames(&self) -> u64 {
         let [first, last] = self.seeds;
         last.saturating_sub(first).saturating_add(1).saturating_mul(self.groups.len() as u64)
     }
 
-    /// The group and the seed of frame `number`.
+    /// Returns the group and the seed of frame `number`.
     pub fn choice(&self, number: u64) -> (SceneGroup, u64) {
         let groups = self.groups.len().max(1) as u64;
         let group = self.groups.get((number % groups) as usize).copied().unwrap_or(SceneGroup::Empty);
         (group, self.seeds[0].saturating_add(number / groups))
     }
 
-    /// The scene of frame `number`, and the number under which its noise is drawn: the same whatever else is shown.
+    /// Returns the scene of frame `number`, and the number for its noise, which does not depend on the other groups.
     pub fn scene(&self, number: u64) -> (Scene, u64) {
         let (group, seed) = self.choice(number);
         let groups = SceneGroup::USUAL.len() as u64;
         (rolled_scene(group, seed, self.roll_deg), seed.wrapping_mul(groups).wrapping_add(group as u64))
     }
 
-    /// What cannot be used about them.
+    /// Returns what is wrong with the parameters, if anything.
     pub fn fault(&self) -> Option<ConfigFault> {
         let [first, last] = self.seeds;
         if self.groups.is_empty() {

@@ -1,13 +1,13 @@
-//! The exact depth image of a scene: for each pixel the depth of the nearest surface and whose surface it is.
+//! The exact depth image of a scene: for each pixel, the depth of the nearest surface and its owner.
 
 use super::shapes::{Shape, Surface};
 use conicflow_messages::Camera;
 use nalgebra::Vector3;
 
-/// Owner of a pixel in which nothing is seen.
+/// Owner of a pixel without a surface.
 pub const NOBODY: u16 = u16::MAX;
 
-/// Surfaces nearer to the camera's plane than this are not cut to their bounds, in metres.
+/// Distance to the camera's plane below which surfaces have no bounds in the image, in metres.
 const NEAR_M: f64 = 1e-3;
 
 /// Depth and owner of each pixel, row by row.
@@ -15,17 +15,17 @@ const NEAR_M: f64 = 1e-3;
 pub struct Raster {
     /// The camera.
     pub camera: Camera,
-    /// Depth along the optical axis in metres; infinite where nothing is seen.
+    /// Depth along the optical axis in metres; infinite without a surface.
     pub depth: Vec<f64>,
-    /// Index of the shape that is seen; [`NOBODY`] where none is.
+    /// Index of the visible shape; [`NOBODY`] if there is none.
     pub owner: Vec<u16>,
-    /// For each shape, how many pixels of the image it would cover if it were alone.
+    /// Number of pixels that each shape would cover alone.
     pub alone: Vec<u32>,
     columns: Vec<f64>,
     rows: Vec<f64>,
 }
 
-/// Pixels from `first` up to but without `end`, in columns and in rows; may reach beyond the image.
+/// Pixels from `first` up to but without `end`, in columns and rows; may extend beyond the image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Window {
     /// Columns.
@@ -35,7 +35,7 @@ pub struct Window {
 }
 
 impl Window {
-    /// What both windows cover, if anything.
+    /// Returns the intersection of two windows, if they overlap.
     pub fn and(self, other: Self) -> Option<Self> {
         let common = |a: [i64; 2], b: [i64; 2]| {
             let both = [a[0].max(b[0]), a[1].min(b[1])];
@@ -44,13 +44,13 @@ impl Window {
         Some(Self { u: common(self.u, other.u)?, v: common(self.v, other.v)? })
     }
 
-    /// The whole image of a camera, and `margin` times its size on each side.
+    /// Returns the whole image of a camera, enlarged by `margin` times its size on each side.
     pub fn image(camera: &Camera, margin: i64) -> Self {
         let reach = |size: u32| [-margin * i64::from(size), (1 + margin) * i64::from(size)];
         Self { u: reach(camera.width), v: reach(camera.height) }
     }
 
-    /// The pixels in which what lies within the bounds can be seen; `None`: it lies behind the camera.
+    /// Returns the pixels in which something within the bounds can be visible; `None` if it is behind the camera.
     pub fn of_bounds(camera: &Camera, bounds: Option<[Vector3<f64>; 2]>) -> Option<Self> {
         let Some([least, most]) = bounds else {
             return Some(Self { u: [i64::MIN, i64::MAX], v: [i64::MIN, i64::MAX] });
@@ -70,14 +70,14 @@ impl Window {
     }
 }
 
-/// Whether the depths of two pixels beside each other are of two surfaces.
+/// Whether the depths of two neighbouring pixels belong to different surfaces.
 pub fn is_jump(here: f64, there: f64) -> bool {
     const JUMP: f64 = 0.02; // of the depth
     here.is_finite() != there.is_finite() || (here - there).abs() > JUMP * here.min(there)
 }
 
 impl Raster {
-    /// An empty image.
+    /// Creates an empty image.
     pub fn new(camera: Camera) -> Self {
         let pixels = camera.width as usize * camera.height as usize;
         let columns = (0..camera.width).map(|u| (f64::from(u) - camera.cx) / camera.fx).collect();
@@ -86,14 +86,14 @@ impl Raster {
         Self { camera, depth, owner, alone: Vec::new(), columns, rows }
     }
 
-    /// The image of these shapes, in the camera's frame.
+    /// Renders shapes in the camera's frame into a new image.
     pub fn of(camera: Camera, shapes: &[Shape]) -> Self {
         let mut raster = Self::new(camera);
         raster.render(shapes);
         raster
     }
 
-    /// Renders shapes that are given in the camera's frame.
+    /// Renders shapes in the camera's frame.
     pub fn render(&mut self, shapes: &[Shape]) {
         self.depth.fill(f64::INFINITY);
         self.owner.fill(NOBODY);
@@ -111,7 +111,7 @@ impl Raster {
         }
     }
 
-    /// Paints what of a surface lies before everything painted so far; the number of pixels that it covers alone.
+    /// Paints the parts of a surface in front of everything painted so far; returns the number of pixels that it covers alone.
     fn paint(&mut self, surface: &impl Surface, owner: u16) -> u32 {
         let window = Window::of_bounds(&self.camera, surface.bounds());
         let Some(window) = window.and_then(|window| window.and(Window::image(&self.camera, 0))) else { return 0 };
@@ -132,20 +132,20 @@ impl Raster {
         hits
     }
 
-    /// Place of a pixel of the image in the vectors.
+    /// Returns the index of a pixel in the vectors.
     #[inline]
     pub fn index(&self, u: i64, v: i64) -> usize {
         v as usize * self.camera.width as usize + u as usize
     }
 
-    /// The point that is seen in a pixel, in the camera's frame.
+    /// Returns the visible point of a pixel, in the camera's frame.
     #[inline]
     pub fn point(&self, u: i64, v: i64) -> Vector3<f64> {
         Vector3::new(self.columns[u as usize], self.rows[v as usize], 1.0) * self.depth[self.index(u, v)]
     }
 }
 
-/// Direction of the ray through a pixel, with z = 1.
+/// Returns the direction of the ray through a pixel, with z = 1.
 #[inline]
 pub fn ray(camera: &Camera, u: i64, v: i64) -> Vector3<f64> {
     Vector3::new((u as f64 - camera.cx) / camera.fx, (v as f64 - camera.cy) / camera.fy, 1.0)

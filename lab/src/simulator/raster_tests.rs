@@ -27,13 +27,13 @@ fn the_nearest_surface_is_seen_whatever_the_order() {
     let (seen, hidden) = (one.owner.iter().filter(|&&owner| owner == 0).count(), one.alone[1] as usize);
     assert_eq!(seen, one.alone[0] as usize);
     assert_eq!(hidden, 64 * 48);
-    // the outline of a ball: a circle of tan(asin(R / d)) about the middle
+    // the outline of a ball: a circle of tan(asin(R / d)) around the middle
     let radius = 52.5 * 0.2 / (1.5_f64 * 1.5 - 0.04).sqrt();
     let area = std::f64::consts::PI * radius * radius;
     assert!((seen as f64 - area).abs() < 0.05 * area, "{seen} pixels, expected {area:.0}");
 }
 
-/// Without windows: every ray against every shape.
+/// Intersects every ray with every shape, without windows.
 fn every_ray(raster: &Raster, shapes: &[Shape]) -> Vec<f64> {
     let camera = &raster.camera;
     let depth = |u: i64, v: i64| {
@@ -65,7 +65,7 @@ fn what_surrounds_the_camera_or_lies_behind_it_is_rendered_rightly() {
     assert_eq!(raster.alone[1], 0);
 }
 
-/// At three times the resolution every third pixel looks along the same ray.
+/// At three times the resolution, every third pixel has the same ray.
 #[test]
 fn resolutions_show_the_same_scene() {
     let scene = Scene::built_in("tabletop").unwrap().unwrap();

@@ -1,72 +1,72 @@
-//! What stands where, how it moves, and where the camera is, whether a scene file or the numbers of a random scene tell it.
+//! A scene, from a scene file or a random one: the bodies, their motions, and the camera.
 
 use super::motion::{Motion, Setting};
 use super::pose::{Pose, looking_along};
 use super::shapes::{Shape, Surface};
 use nalgebra::{Matrix3, Vector3};
 
-/// Objects and a camera in a world frame, all of them functions of time.
+/// Bodies and a camera in a world frame, as functions of time.
 #[derive(Clone, Debug)]
 pub struct Scene {
-    /// What the frames call their source.
+    /// Name of the frames' source.
     pub name: String,
-    /// The group of a random scene: those that are drawn alike.
+    /// The group of a random scene.
     pub group: Option<&'static str>,
-    /// What can be seen; solids first, in the order of the file's tables.
+    /// All visible bodies, solids first, in the order of the file's tables.
     pub bodies: Vec<Body>,
-    /// How far the camera is from where the file would have it, in metres: who drives it adds to it.
+    /// Displacement of the camera from its position in the file, in metres; driving the camera adds to it.
     pub camera_shift: Vector3<f64>,
     pub(super) view: View,
     pub(super) up: Vector3<f64>,
     pub(super) gravity: f64,
 }
 
-/// Something with a name that can be seen.
+/// A visible thing with a name.
 #[derive(Clone, Debug)]
 pub struct Body {
-    /// Unlike those of all others in the scene.
+    /// Unique in the scene.
     pub name: String,
     pub(super) shape: Shape,
     pub(super) motion: Option<Motion>,
     pub(super) role: Role,
 }
 
-/// What a body is to who looks for objects.
+/// The meaning of a body for a detector.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Role {
-    /// A thing of its own.
+    /// An object of its own.
     #[default]
     Object,
-    /// A part of something that is none: a limb, a leg of a chair. It need not be found, nor is it wrong to find it if it is
-    /// round.
+    /// A part of something that is no object: a limb, a leg of a chair. It need not be found, but a right answer about a round
+    /// part is not wrong.
     Part,
-    /// A part that gives no depth.
+    /// A part without depth.
     Glass,
 }
 
 impl Body {
-    /// A thing of its own.
+    /// Creates an object of its own.
     pub(super) fn new(name: impl Into<String>, shape: Shape, motion: Option<Motion>) -> Self {
         Self { name: name.into(), shape, motion, role: Role::Object }
     }
 
-    /// Something that stands still.
+    /// Creates a body without motion.
     pub fn still(name: impl Into<String>, shape: Shape) -> Self {
         Self::new(name, shape, None)
     }
 
-    /// The same body in another role.
+    /// Returns the body in another role.
     pub fn as_a(self, role: Role) -> Self {
         Self { role, ..self }
     }
 }
 
-/// Gravity on earth, in m/s^2.
+/// Gravity on Earth, in m/s^2.
 pub(super) fn earth() -> f64 {
     9.81
 }
 
-/// Where the camera is and looks.
+/// The camera's position and orientation.
 #[derive(Clone, Debug)]
 pub(super) struct View {
     pub position: Vector3<f64>,
@@ -85,8 +85,8 @@ pub(super) enum Gaze {
 }
 
 impl Scene {
-    /// A scene in which nothing moves: z is up, and the camera at `position` looks at a point, with `camera_up` upwards in
-    /// the image. The names of the bodies are unlike each other.
+    /// Creates a scene in which nothing moves: z is up, and the camera at `position` looks at a point, with `camera_up` upwards
+    /// in the image. The bodies' names have to be unique.
     pub fn still(
         name: String,
         bodies: Vec<Body>,
@@ -103,13 +103,13 @@ impl Scene {
         Setting { up: self.up, gravity: self.gravity, anchor: shape.anchor(), reach_below: shape.reach_below(&self.up) }
     }
 
-    /// Where a body is at a time (seconds), in the world frame.
+    /// Returns a body at a time (seconds), in the world frame.
     pub fn shape(&self, body: &Body, time_s: f64) -> Shape {
         let Some(motion) = &body.motion else { return body.shape };
         body.shape.transformed(&Pose::shift(motion.displacement(time_s, &self.setting(&body.shape))))
     }
 
-    /// Pose of the camera, `world_from_camera`, at a time (seconds).
+    /// Returns the pose of the camera, `world_from_camera`, at a time (seconds).
     pub fn world_from_camera(&self, time_s: f64) -> Pose {
         let view = &self.view;
         let moved = |point: Vector3<f64>, motion: &Option<Motion>| {
@@ -121,14 +121,14 @@ impl Scene {
             Gaze::Fixed(rotation) => rotation,
             Gaze::At(point) => {
                 let forward = moved(point, &view.gaze_motion) - translation;
-                // at the one moment when it moves through the line above its point, any view is as good
+                // at the moment when the camera passes exactly above its target, any orientation is as good
                 looking_along(&forward, &view.up).unwrap_or_else(Matrix3::identity)
             }
         };
         Pose { rotation, translation: translation + self.camera_shift }
     }
 
-    /// All bodies in the camera's frame at a time (seconds), in the order of `bodies`.
+    /// Returns all bodies in the camera's frame at a time (seconds), in the order of `bodies`.
     pub fn shapes_in_camera(&self, time_s: f64) -> impl Iterator<Item = Shape> {
         let camera_from_world = self.world_from_camera(time_s).inverse();
         self.bodies.iter().map(move |body| self.shape(body, time_s).transformed(&camera_from_world))

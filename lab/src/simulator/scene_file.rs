@@ -17,10 +17,10 @@
 //! radius = 0.1
 //! motion.ballistic = { velocity = [0, 0, 0], floor_m = 0.5 }
 //! ```
-//! Further: `[[cone]]` (`base_radius`, `top_radius`), `[[bowl]]` (`center`, `radius`, `depth`), `[[box]]` (`center`,
-//! `size`), `[[lump]]` (`center`, `size`, `squareness`, `creases`), `[[plane]]` (`point`, `normal`, `size`),
-//! `[[screen]]` (`before`, `hides`, `distance_m`). A cylinder or cone with `open = true` is a cup. `[values]` and `"$name"` in
-//! place of a number: see [`super::scene_values`].
+//! Further tables: `[[cone]]` (`base_radius`, `top_radius`), `[[bowl]]` (`center`, `radius`, `depth`), `[[box]]` (`center`,
+//! `size`), `[[lump]]` (`center`, `size`, `squareness`, `creases`), `[[plane]]` (`point`, `normal`, `size`), `[[screen]]`
+//! (`before`, `hides`, `distance_m`). A cylinder or cone with `open = true` is a cup. `[values]`, and `"$name"` in place of a
+//! number: see [`super::scene_values`].
 
 use super::fields::*;
 use super::lump::{CREASES, Crease, Lump};
@@ -36,7 +36,7 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// The scenes that are built in, by their names; the first one is the default.
+/// The built-in scenes by name; the first one is the default.
 pub const BUILT_IN: [(&str, &str); 8] = [
     ("bouncing_ball", include_str!("scenes/bouncing_ball.toml")),
     ("passing_cylinder", include_str!("scenes/passing_cylinder.toml")),
@@ -48,7 +48,7 @@ pub const BUILT_IN: [(&str, &str); 8] = [
     ("empty_room", include_str!("scenes/empty_room.toml")),
 ];
 
-/// The text of a scene file.
+/// Reads the text of a scene file.
 pub fn read(path: &Path) -> Result<String> {
     std::fs::read_to_string(path).map_err(|error| {
         let names = BUILT_IN.map(|(name, _)| name).join("`, `");
@@ -61,16 +61,16 @@ pub fn read(path: &Path) -> Result<String> {
 }
 
 impl Scene {
-    /// A scene that is built into the program, if there is one of that name.
+    /// Returns the built-in scene of this name, if there is one.
     pub fn built_in(name: &str) -> Option<Result<Self>> {
         let (_, text) = BUILT_IN.iter().find(|(known, _)| *known == name)?;
         Some(Self::parse(text, name))
     }
 
-    /// Reads the text of a scene file; `origin` is what errors call it.
+    /// Parses the text of a scene file; `origin` is its name in errors.
     ///
     /// # Errors
-    /// What is wrong at which line and column.
+    /// The text is not a valid scene; the error names line and column.
     pub fn parse(text: &str, origin: &str) -> Result<Self> {
         let file: SceneFile = toml::from_str(text).map_err(|error| {
             let [place, line] = error.span().map(|span| place(text, span.start)).unwrap_or_default();
@@ -93,7 +93,7 @@ impl Scene {
         Ok(scene)
     }
 
-    /// Puts up a screen for the camera at time 0; one that hides nothing is left out.
+    /// Adds a screen as seen by the camera at time 0; one that hides nothing is left out.
     fn put_up(&mut self, entry: &ScreenEntry) -> Result<()> {
         if entry.hides == 0.0 {
             return Ok(());
@@ -161,16 +161,16 @@ struct SceneFile {
     plane: Vec<PlaneEntry>,
     #[serde(default)]
     screen: Vec<ScreenEntry>,
-    /// Read by [`super::scene_values`], and put in before this is.
+    /// Read and applied by [`super::scene_values`] before this.
     #[serde(default, rename = "values")]
     _values: BTreeMap<String, f64>,
 }
 
 impl SceneFile {
-    /// What can be seen, solids first, and the camera.
+    /// Returns all visible bodies, solids first, and the camera.
     ///
     /// # Errors
-    /// A plane's sides cannot be used.
+    /// The sides of a plane are not valid.
     pub fn bodies(self) -> Result<(Vec<Body>, CameraEntry, Vec<ScreenEntry>)> {
         let up = self.up;
         let mut bodies: Vec<Body> = Vec::new();
@@ -189,9 +189,9 @@ impl SceneFile {
     }
 }
 
-/// Optical frame: x right, y down, z forward. One of `look_at` (a point that it keeps in view), `direction` and
-/// `orientation` (quaternion `world_from_camera`) says where it looks; `up` (the scene's where left out) is upwards in
-/// the image. `motion` moves the position, `look_at_motion` the point.
+/// Optical frame: x right, y down, z forward. The direction is given by one of `look_at` (a point that stays in the middle),
+/// `direction` and `orientation` (quaternion `world_from_camera`); `up` (by default the scene's) is upwards in the image.
+/// `motion` moves the position, `look_at_motion` the point.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CameraEntry {
@@ -271,7 +271,7 @@ impl CylinderEntry {
     }
 }
 
-/// `top_radius` is 0 where left out: a cone with its tip.
+/// `top_radius` is 0 by default: a cone with its tip.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ConeEntry {
@@ -296,8 +296,8 @@ impl ConeEntry {
     }
 }
 
-/// A thin shell about `center`, whose rim is `depth` (half of the sphere where left out) above its bottom; `axis` points
-/// from the bottom to the opening.
+/// A thin shell around `center`, whose rim is `depth` (by default half of the sphere) above its bottom; `axis` points from the
+/// bottom to the opening.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct BowlEntry {
@@ -317,7 +317,7 @@ impl BowlEntry {
     }
 }
 
-/// `orientation` is a quaternion `[x, y, z, w]`, none where left out.
+/// `orientation` is a quaternion `[x, y, z, w]`, by default no rotation.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct BoxEntry {
@@ -337,7 +337,7 @@ impl BoxEntry {
     }
 }
 
-/// A superellipsoid with waves on it, an ellipsoid where both are left out: see [`Lump`].
+/// A superellipsoid with waves on it, by default an ellipsoid without waves: see [`Lump`].
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct LumpEntry {
@@ -381,7 +381,7 @@ impl LumpEntry {
     }
 }
 
-/// Without `size` it has no end; with it, it is a rectangle about `point` whose first side goes along `along`.
+/// By default infinite; with `size`, a rectangle around `point` whose first side is along `along`.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct PlaneEntry {
@@ -426,14 +426,14 @@ pub struct ScreenEntry {
     pub distance_m: Positive,
 }
 
-/// The coordinate axis that is least parallel to a direction.
+/// Returns the coordinate axis that is least parallel to a direction.
 fn some_other(direction: &Vector3<f64>) -> Vector3<f64> {
     let mut axis = Vector3::zeros();
     axis[direction.iamin()] = 1.0;
     axis
 }
 
-/// `:line:column` of a byte, both from 1, and a line of a message that shows what stands there.
+/// Returns `:line:column` of a byte, both from 1, and that line of the text, for an error.
 fn place(text: &str, byte: usize) -> [String; 2] {
     let before = &text[..byte.min(text.len())];
     let start = before.rfind('\n').map_or(0, |newline| newline + 1);

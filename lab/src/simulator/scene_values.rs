@@ -1,5 +1,5 @@
-//! Scene files with values left open: `[values]` states them, `"$distance"` in place of a number uses one, and a pipeline
-//! file or a sweep sets another. The frames' source carries what was set, so that whoever knows the file knows the truth.
+//! Scene files with variable values: `[values]` has their defaults, `"$distance"` in place of a number uses one, and a pipeline
+//! file or an experiment sets others. The frames' source has the values, so that the truth follows from it and the file.
 
 use super::scene::Scene;
 use super::scene_file;
@@ -9,10 +9,10 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Values by their names.
+/// Values by name.
 pub type Values = BTreeMap<String, f64>;
 
-/// A scene file whose values may be set.
+/// A scene file with variable values.
 #[derive(Clone, Debug)]
 pub struct SceneTemplate {
     text: String,
@@ -20,7 +20,7 @@ pub struct SceneTemplate {
     defaults: Values,
 }
 
-/// The part of a scene file that is read before the values are put in.
+/// The part of a scene file that is read before its values are substituted.
 #[derive(Default, Deserialize)]
 #[serde(default)]
 struct Head {
@@ -29,7 +29,7 @@ struct Head {
 }
 
 impl SceneTemplate {
-    /// Reads a scene file; whether its text is a scene is seen when one is made of it.
+    /// Reads a scene file; its text is only checked when a scene is made of it.
     ///
     /// # Errors
     /// The file cannot be read.
@@ -37,17 +37,17 @@ impl SceneTemplate {
         Ok(Self::new(scene_file::read(path)?, path.display().to_string()))
     }
 
-    /// A scene file's text; `origin` is what errors call it.
+    /// Creates a template from a scene file's text; `origin` is its name in errors.
     pub fn new(text: String, origin: String) -> Self {
         let defaults = head(&text).values;
         Self { text, origin, defaults }
     }
 
-    /// The scene with these values, and those of the file for the others.
+    /// Returns the scene with these values, and the defaults for the others.
     ///
     /// # Errors
-    /// A value that the file does not have, a name that does not fit into a frame with its values, or what is wrong with
-    /// the scene.
+    /// A value is not in the file, the scene's name with the values does not fit into a frame's header, or the scene is not
+    /// valid.
     pub fn scene(&self, set: &Values) -> Result<Scene> {
         if let Some(unknown) = set.keys().find(|name| !self.defaults.contains_key(*name)) {
             let names: Vec<_> = self.defaults.keys().map(String::as_str).collect();
@@ -62,7 +62,7 @@ impl SceneTemplate {
         });
         let mut scene = Scene::parse(&text, &self.origin)?;
         values.iter().for_each(|(name, value)| scene.name += &format!(" {name}={value:?}"));
-        // Cut off, it would tell of another scene: a value of 12 in place of 12.5.
+        // A truncated name would mean another scene: a value of 12 instead of 12.5.
         ensure!(
             scene.name.len() <= MAX_SOURCE_BYTES,
             Hinted::new(
@@ -79,7 +79,7 @@ impl SceneTemplate {
         Ok(scene)
     }
 
-    /// The scene that a frame's source names, if it is one of this file.
+    /// Returns the scene that a frame's source names, if it belongs to this file.
     ///
     /// # Errors
     /// As for [`Self::scene`].

@@ -1,15 +1,15 @@
-//! Screens: boards that stand before a body and hide a stated share of its width, as the camera sees it.
+//! Screens: boards in front of a body that hide a given share of its width from the camera.
 
 use super::pose::Pose;
 use super::shapes::{Plane, Shape, Surface};
 use crate::bisection::end_of;
 use nalgebra::Vector3;
 
-/// Half of the width and height of a screen, in metres.
+/// Half of a screen's width and height, in metres.
 const HALF_M: [f64; 2] = [0.4, 2.0];
 
-/// A board `distance_m` before the camera that hides the share `hides` of a body's width from the left, along the line of
-/// the image on which its middle lies; in the world frame. `None` where the camera does not see the body there.
+/// Returns a board at `distance_m` from the camera that hides the share `hides` of a body's width from the left, in the row of
+/// its middle; in the world frame. `None` if the body is not visible there.
 pub fn screen(body: &Shape, world_from_camera: &Pose, distance_m: f64, hides: f64) -> Option<Shape> {
     let seen = body.transformed(&world_from_camera.inverse());
     let [least, most] = seen.bounds()?;

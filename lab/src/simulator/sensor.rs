@@ -1,9 +1,9 @@
-//! What a structured-light sensor makes of an exact depth image: noise along the ray, disparity in steps, restless
-//! silhouettes, the projector's shadow, lost points where a surface is seen at a grazing angle, and limits of range.
+//! The errors of a structured-light sensor, added to an exact depth image: noise along the ray, steps of the disparity, jitter of
+//! silhouettes, the projector's shadow, lost points on surfaces at a grazing angle, and limits of range.
 //!
-//! Axial noise, its growth with the angle, and steps: Nguyen, Izadi and Lovell, "Modeling Kinect sensor noise for improved
-//! 3D reconstruction and tracking" (2012), in the form of [`NoiseModel`]; the same paper finds the silhouettes uncertain by
-//! about 0.8 pixels at 640x480 and the noise growing beyond all bounds from 70 to 80 degrees on.
+//! Axial noise, its growth with the angle, and steps: Nguyen, Izadi and Lovell, "Modeling Kinect sensor noise for improved 3D
+//! reconstruction and tracking" (2012), in the form of [`NoiseModel`]. The same paper finds an uncertainty of silhouettes of
+//! about 0.8 pixels at 640x480, and noise that grows without bounds from 70 to 80 degrees on.
 
 use super::noise_field::noise_field;
 use super::raster::{Raster, is_jump};
@@ -17,10 +17,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::FRAC_PI_2;
 
-/// Least angle between ray and surface that noise grows to, in radians.
+/// Least angle between ray and surface in the growth of the noise, in radians.
 const LEAST_GRAZE: f64 = 0.05;
 
-/// What the sensor does to the depth: `"kinect_v1"`, `"realsense_d435"`, `"time_of_flight"`, `"ideal"` or a table.
+/// Errors of the sensor: `"kinect_v1"`, `"realsense_d435"`, `"time_of_flight"`, `"ideal"` or a table.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(
     untagged,
@@ -57,21 +57,21 @@ pub struct SensorTable {
     /// Depth between two neighbouring disparities, divided by the squared depth, in 1/metre; 0: no steps.
     #[schemars(range(min = 0.0))]
     pub step_per_m: f64,
-    /// Side of the window of the image that a depth comes from, in pixels: neighbours share their noise as far as their
-    /// windows overlap; 1: each has its own. A Kinect v1 has about 3 at 640x480.
+    /// Side of the window of the image from which a depth comes, in pixels: the noise of neighbours is correlated as far as their
+    /// windows overlap; 1: it is independent. A Kinect v1 has about 3 at 640x480.
     #[schemars(range(min = 1, max = 15))]
     pub noise_window_px: u32,
-    /// What noise grows by where the angle a between ray and normal is large: `grazing_noise / sqrt(z) a^2 / (pi / 2 - a)^2`
-    /// in metres, a in radians; 0: not at all. A Kinect v1 has 0.0001, but no header tells of it.
+    /// Additional noise where the angle a between ray and normal is large: `grazing_noise / sqrt(z) a^2 / (pi / 2 - a)^2` in
+    /// metres, a in radians; 0: none. A Kinect v1 has 0.0001, but no header includes it.
     #[schemars(range(min = 0.0))]
     pub grazing_noise: f64,
-    /// Standard deviation of a silhouette's place, in pixels of the image; 0: exact silhouettes.
+    /// Standard deviation of a silhouette's position, in pixels of the image; 0: exact silhouettes.
     #[schemars(range(min = 0.0, max = 8.0))]
     pub edge_jitter_px: f64,
-    /// Place of the projector to the right of the camera, in metres; 0: no shadow.
+    /// Position of the projector to the right of the camera, in metres; 0: no shadow.
     #[schemars(range(min = -1.0, max = 1.0))]
     pub shadow_baseline_m: f64,
-    /// Angle between ray and normal from which on points get lost, all of them at 90, in degrees; 90: none.
+    /// Angle between ray and normal beyond which points may be lost, as all of them are at 90, in degrees; 90: none.
     #[schemars(range(min = 0.0, max = 90.0))]
     pub dropout_angle_deg: f64,
     /// Least depth that is measured, in metres.
@@ -92,7 +92,7 @@ impl SensorTable {
         ..Self::with(NoiseModel::KINECT_V1)
     };
 
-    /// Its depth image is that of the left camera; what the right one does not see is not measured.
+    /// Its depth image is that of the left camera; points that the right one does not see are not measured.
     const REALSENSE_D435: Self = Self {
         edge_jitter_px: 1.0,
         shadow_baseline_m: 0.05,
@@ -102,7 +102,7 @@ impl SensorTable {
         ..Self::with(REALSENSE_D435)
     };
 
-    /// It lights the scene from beside the lens: no shadow.
+    /// Its light is next to the lens, so that there is no shadow.
     const TIME_OF_FLIGHT: Self = Self {
         edge_jitter_px: 0.5,
         dropout_angle_deg: 75.0,
@@ -113,7 +113,7 @@ impl SensorTable {
 
     const IDEAL: Self = Self::with(NoiseModel::IDEAL);
 
-    /// A sensor without any fault but the noise.
+    /// Returns a sensor with this noise and no other errors.
     const fn with(noise: NoiseModel) -> Self {
         let NoiseModel { floor_m, growth_per_m, knee_m, step_per_m } = noise;
         Self {
@@ -148,7 +148,7 @@ impl Default for SensorTable {
 }
 
 impl From<NoiseConfig> for SensorConfig {
-    /// A sensor of which nothing but the depth noise is known is free of all other faults.
+    /// Returns a sensor with this depth noise; by coefficients, it has no other errors.
     fn from(noise: NoiseConfig) -> Self {
         match noise {
             NoiseConfig::Named(name) => Self::Named(name),
@@ -157,17 +157,17 @@ impl From<NoiseConfig> for SensorConfig {
     }
 }
 
-/// A depth sensor; turns exact depths into pixels.
+/// A depth sensor, which turns exact depths into pixels.
 #[derive(Clone, Debug)]
 pub struct Sensor {
     table: SensorTable,
     units_per_metre: f64,
-    /// 0: no point gets lost.
+    /// Cosine of the angle from which points may be lost; 0 if none is.
     dropout_cosine: f64,
     /// Two standard deviations of the jitter, in pixels.
     edge_reach: i64,
     shadow: Vec<bool>,
-    /// Deviates that neighbours share, where they do.
+    /// Correlated deviates, if the noise is correlated.
     noise: Vec<f64>,
 }
 
@@ -187,7 +187,7 @@ impl Draw {
 }
 
 impl Sensor {
-    /// A sensor whose pixels count `depth_scale` metres.
+    /// Creates a sensor with `depth_scale` metres per unit of its pixels.
     pub fn new(config: SensorConfig, depth_scale: f64) -> Self {
         let table = match config {
             SensorConfig::Named(name) => SensorTable::named(name),
@@ -206,13 +206,13 @@ impl Sensor {
         }
     }
 
-    /// The part of it that the header tells everyone downstream.
+    /// Returns the part of the errors that the header describes.
     pub fn noise_model(&self) -> NoiseModel {
         let SensorTable { floor_m, growth_per_m, knee_m, step_per_m, .. } = self.table;
         NoiseModel { floor_m, growth_per_m, knee_m, step_per_m }
     }
 
-    /// Measures a rendered image of `shapes` (camera frame) into as many pixels.
+    /// Measures a rendered image of `shapes` (camera frame) into `pixels`.
     pub fn measure(&mut self, raster: &Raster, shapes: &[Shape], dice: &CounterRng, pixels: &mut [u16]) {
         self.shadow = shadow::cast(raster, shapes, self.table.shadow_baseline_m);
         if self.table.noise_window_px > 1 {
@@ -229,7 +229,7 @@ impl Sensor {
         }
     }
 
-    /// The depth that it measures in a pixel, in metres, if it measures one.
+    /// Returns the measured depth of a pixel in metres, if there is a measurement.
     fn depth(&self, raster: &Raster, shapes: &[Shape], dice: &CounterRng, at: [i64; 2]) -> Option<f64> {
         let index = raster.index(at[0], at[1]);
         let [u, v] = if self.at_edge(raster, at) { self.jittered(raster, dice, at) } else { at };
@@ -254,8 +254,8 @@ impl Sensor {
         (self.table.min_range_m..=self.table.max_range_m).contains(&depth).then_some(depth)
     }
 
-    /// Whether a point is lost for the angle at which its surface is seen; the chance rises from 0 to 1, linearly in the
-    /// cosine between ray and normal.
+    /// Whether a point is lost because of the angle of its surface; the probability rises from 0 to 1, linearly in the cosine
+    /// between ray and normal.
     #[inline]
     fn gets_lost(&self, shape: &Shape, point: &Vector3<f64>, dice: &CounterRng, index: usize) -> bool {
         let projection = shape.normal(point).dot(point);
@@ -277,7 +277,7 @@ impl Sensor {
         self.table.grazing_noise / point.z.sqrt() * growth * growth
     }
 
-    /// The nearest depth whose disparity is a whole number of steps: `1 / z = n step_per_m`.
+    /// Returns the nearest depth whose disparity is a whole number of steps: `1 / z = n step_per_m`.
     fn in_steps(&self, z: f64) -> f64 {
         let step = self.table.step_per_m;
         if step > 0.0 { 1.0 / (f64::from(nearest_whole(1.0 / (z * step))) * step) } else { z }
@@ -298,8 +298,8 @@ impl Sensor {
         differs(u - reach, v) || differs(u + reach, v) || differs(u, v - reach) || differs(u, v + reach)
     }
 
-    /// The pixel beyond the silhouette whose depth this one takes, or itself: a silhouette is unsure of its place, a
-    /// smooth surface is not.
+    /// Returns the pixel beyond the silhouette whose depth this one takes, or the pixel itself: only silhouettes jitter, not
+    /// smooth surfaces.
     fn jittered(&self, raster: &Raster, dice: &CounterRng, [u, v]: [i64; 2]) -> [i64; 2] {
         let index = raster.index(u, v);
         let shift = |draw: Draw| (self.table.edge_jitter_px * dice.gaussian(draw.counter(index))).round() as i64;
@@ -310,7 +310,7 @@ impl Sensor {
     }
 }
 
-/// A pixel for a depth in units; what cannot be counted, as what is not a number, is not measured.
+/// Returns the pixel for a depth in units; NaN and depths out of range are no measurement.
 pub(super) fn pixel(units: f64) -> u16 {
     u16::try_from(nearest_whole(units)).ok().filter(|units| *units != INVALID_FAR).unwrap_or(INVALID_NEAR)
 }
@@ -321,7 +321,7 @@ fn nearest_whole(number: f64) -> u32 {
     (number + 0.5) as u32
 }
 
-/// The pixel of the image that is nearest to `(u, v)`.
+/// Returns the pixel of the image nearest to `(u, v)`.
 #[inline]
 fn inside(camera: &Camera, u: i64, v: i64) -> [i64; 2] {
     [u.clamp(0, i64::from(camera.width) - 1), v.clamp(0, i64::from(camera.height) - 1)]

@@ -7,7 +7,7 @@ const CAMERA: Camera = Camera { width: 320, height: 240, fx: 262.5, fy: 262.5, c
 /// A tenth of a millimetre, so that the pixels' rounding is far below the noise.
 const FINE: f64 = 1e-4;
 
-/// A plane through (0, 0, z), turned about the camera's x axis.
+/// A plane through (0, 0, z), rotated about the camera's x axis.
 fn wall(z: f64, tilt: f64) -> Shape {
     plane(Vector3::new(0.0, tilt.sin(), -tilt.cos()), -tilt.cos() * z)
 }
@@ -88,7 +88,7 @@ fn noise_grows_at_grazing_angles() {
     let sensor = only(|table| table.grazing_noise = 1e-4);
     for degrees in [0.0_f64, 60.0, 75.0, 82.0] {
         let (raster, pixels) = measure(sensor, &[wall(2.0, degrees.to_radians())], CounterRng::new(3, 0));
-        // A few pixels about the middle, where the angle is that of the wall.
+        // A few pixels around the middle, where the angle is that of the wall.
         let middle = (117..123).flat_map(|row| row * 320 + 130..row * 320 + 190);
         let squares = middle.map(|i| (f64::from(pixels[i]) * FINE - raster.depth[i]).powi(2));
         let sigma = (squares.sum::<f64>() / 360.0).sqrt();
@@ -170,7 +170,7 @@ fn the_shadow_lies_on_the_left_and_range_has_limits() {
     assert_ne!(pixels[raster.index(159 + 62, 120)], 0, "the ball's rim is at 1.02 m");
 }
 
-/// What cannot be told in 16 bits is not measured.
+/// Depths that do not fit into 16 bits are not measured.
 #[test]
 fn depths_beyond_the_pixels_range_are_no_measurement() {
     let (_, pixels) = measure(IDEAL, &[wall(7.0, 0.0)], CounterRng::new(0, 0));
@@ -192,15 +192,16 @@ fn words_and_tables_are_understood() {
     assert_eq!(SensorConfig::from(NoiseConfig::default()), KINECT);
 }
 
-/// The bits of one frame, as they are on every machine; a change of the model changes them and has to be told to users.
+/// The bits of one frame, which are the same on every machine; a change of the model changes them, and has to be announced to
+/// users.
 #[test]
 fn bits_are_the_same_on_every_machine() {
     let fnv = |bytes: &[u8]| {
         let step = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3);
         bytes.iter().fold(0xcbf2_9ce4_8422_2325_u64, step)
     };
-    // A cone that lies, seen by a camera whose roll has a tangent that the platform's function rounds another way; the last
-    // bit shows in the exact depth alone.
+    // A lying cone, seen by a camera whose roll has a tangent that the platform's function may round differently; the last bit
+    // shows only in the exact depth.
     let (ball, cone) = (Scene::built_in("bouncing_ball").unwrap().unwrap(), random_scene(SceneGroup::Lying, 1812));
     for (scene, expected) in
         [(ball, [0x110a_e80b_122a_ed45, 0xc07e_090c_6ca9_adb4]), (cone, [0x1905_41eb_df24_c359, 0x3ea6_f8a8_138a_3fa2])]

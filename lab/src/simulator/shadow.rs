@@ -1,15 +1,15 @@
-//! Where the projector's pattern does not fall: a structured-light camera sees no depth at points that its projector,
-//! a base line away along x, does not see.
+//! The shadow of a projector: a structured-light camera measures no depth at points that its projector, at a base line along x,
+//! does not see.
 
 use super::raster::{Raster, Window};
 use super::shapes::{Shape, Surface};
 use nalgebra::Vector3;
 
-/// Marks the pixels whose points the projector at `(baseline_m, 0, 0)` does not see.
+/// Marks the pixels whose points are not visible from the projector at `(baseline_m, 0, 0)`.
 ///
-/// A shape can only darken points behind it that lie in its image as the projector sees it. The projector's image of a
-/// point of depth z is `fx baseline / z` pixels away from the camera's, so the pixels to be looked at are those of the
-/// shape's window, stretched by that shift.
+/// A shape only shadows points behind it that lie in its image as seen by the projector. In that image, a point of depth z is
+/// shifted by `fx baseline / z` pixels from its position in the camera's image. So only the pixels of the shape's window,
+/// stretched by that shift, have to be checked.
 pub fn cast(raster: &Raster, shapes: &[Shape], baseline_m: f64) -> Vec<bool> {
     let mut shadow = vec![false; raster.depth.len()];
     if baseline_m == 0.0 {
@@ -46,7 +46,7 @@ fn darken(raster: &Raster, shape: &Shape, owner: u16, projector: &Vector3<f64>, 
     }
 }
 
-/// The window, and what it sweeps over when it is shifted along the rows.
+/// Returns the area that a window sweeps when it is shifted along the rows.
 fn stretched(window: Window, shift: f64) -> Window {
     if !shift.is_finite() {
         return Window { u: [i64::MIN, i64::MAX], ..window };
@@ -55,7 +55,7 @@ fn stretched(window: Window, shift: f64) -> Window {
     Window { u: [window.u[0].saturating_add(left), window.u[1].saturating_add(right)], ..window }
 }
 
-/// Whether the projector is on the other side of a convex surface than the camera.
+/// Whether camera and projector are on opposite sides of a convex surface.
 fn turned_away(shape: &Shape, point: &Vector3<f64>, projector: &Vector3<f64>) -> bool {
     let normal = shape.normal(point);
     normal.dot(&-point) * normal.dot(&(projector - point)) < 0.0
@@ -79,7 +79,7 @@ mod tests {
         Shape::Plane(Plane { point: Vector3::new(0.0, 0.0, z), normal: -Vector3::z(), sides, half: [half_width, 5.0] })
     }
 
-    /// First and last dark pixel of the middle row.
+    /// Returns the first and last dark pixel of the middle row.
     fn dark_span(shapes: &[Shape], baseline_m: f64) -> Option<(usize, usize)> {
         let raster = Raster::of(CAMERA, shapes);
         let shadow = cast(&raster, shapes, baseline_m);
@@ -87,8 +87,8 @@ mod tests {
         Some((row.iter().position(|&dark| dark)?, row.iter().rposition(|&dark| dark)?))
     }
 
-    /// A screen at 1 m before a wall at 2 m: the shadow is as wide as the difference of the disparities, 262.5 * 0.075 *
-    /// (1 - 1/2) = 9.84 pixels, and it lies on the side that is away from the projector.
+    /// A screen at 1 m in front of a wall at 2 m: the shadow's width is the difference of the disparities, 262.5 * 0.075 * (1 -
+    /// 1/2) = 9.84 pixels, and it is on the side away from the projector.
     #[test]
     fn the_shadow_is_as_wide_as_the_disparity_says_and_on_the_left() {
         let shapes = [screen(1.0, 0.2), wall(2.0)];
@@ -106,7 +106,7 @@ mod tests {
         assert_eq!(dark_span(&shapes, 0.0), None);
     }
 
-    /// A strip narrower than the base line hides a piece of the wall that does not touch it in the image.
+    /// A strip narrower than the base line shadows a part of the wall that is separate from it in the image.
     #[test]
     fn a_thin_thing_casts_a_shadow_apart_from_itself() {
         let (first, last) = dark_span(&[screen(1.0, 0.01), wall(4.0)], 0.075).unwrap();

@@ -1,8 +1,8 @@
-//! Solids, shells and planes that a ray can be cut with exactly.
+//! Solids, shells and planes that can be intersected exactly with a ray.
 //!
-//! A ray is `origin + t direction`. With the camera's centre as origin and `direction = ((u - cx) / fx, (v - cy) / fy, 1)`
-//! the parameter `t` is the depth `z`. Sphere and frustum are quadratic in `t`, `a t^2 + 2 b t + c = 0`; box and plane are
-//! linear; a lump is met by steps.
+//! A ray is `origin + t direction`. With the camera's centre as origin and `direction = ((u - cx) / fx, (v - cy) / fy, 1)`, the
+//! parameter `t` is the depth `z`. Sphere and frustum are quadratic in `t`, `a t^2 + 2 b t + c = 0`; box and plane are linear; a
+//! lump is intersected by steps.
 
 pub use super::block::Block;
 pub use super::lump::{Crease, Lump};
@@ -20,7 +20,7 @@ pub struct Sphere {
     pub radius: f64,
 }
 
-/// A cylinder, a cone or what is left of one whose tip was cut off; closed at both ends, or a cup.
+/// A cylinder, a cone or a truncated cone; closed at both ends, or a cup.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frustum {
     /// Centre of the first end.
@@ -51,17 +51,17 @@ pub struct Bowl {
 /// A plane, or a rectangle of one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plane {
-    /// A point of it; the middle of the rectangle.
+    /// A point on it; the middle of the rectangle.
     pub point: Vector3<f64>,
     /// Unit normal.
     pub normal: Vector3<f64>,
     /// Directions of the rectangle's sides, as unit vectors.
     pub sides: [Vector3<f64>; 2],
-    /// Half of its size along each; infinite for a plane.
+    /// Half of its size along each side; infinite for a plane.
     pub half: [f64; 2],
 }
 
-/// Any of them.
+/// Any of the shapes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Shape {
     /// A ball.
@@ -74,11 +74,11 @@ pub enum Shape {
     Block(Block),
     /// A plane or rectangle.
     Plane(Plane),
-    /// What is nearly round, rounded or creased.
+    /// Something nearly round, rounded or creased.
     Lump(Lump),
 }
 
-/// Both solutions of `a t^2 + 2 b t + c = 0` without cancellation; not a number where there are none.
+/// Returns both solutions of `a t^2 + 2 b t + c = 0` without cancellation; NaN if there are none.
 #[inline]
 fn roots(a: f64, b: f64, c: f64) -> [f64; 2] {
     let root = (b * b - a * c).sqrt();
@@ -192,7 +192,7 @@ impl Surface for Frustum {
 }
 
 impl Bowl {
-    /// Height of a point above the rim.
+    /// Returns the height of a point above the rim.
     fn above_rim(&self, point: &Vector3<f64>) -> f64 {
         (point - self.sphere.center).dot(&self.axis) + self.sphere.radius - self.depth
     }
@@ -289,7 +289,7 @@ impl Shape {
         }
     }
 
-    /// The point that a scene file places: the centre, the middle of the first end, the plane's point.
+    /// Returns the point whose position a scene file gives: the centre, the middle of the first end, or the plane's point.
     pub fn anchor(&self) -> Vector3<f64> {
         match self {
             Self::Sphere(sphere) => sphere.center,
@@ -301,12 +301,12 @@ impl Shape {
         }
     }
 
-    /// Whether it may hide a part of itself: its inside can be seen, or it is creased.
+    /// Whether it may hide a part of itself, because its inside is visible or it is creased.
     pub fn hides_itself(&self) -> bool {
         matches!(self, Self::Bowl(_) | Self::Frustum(Frustum { open: true, .. }) | Self::Lump(_))
     }
 
-    /// How far the shape reaches below its anchor, against the unit vector `up`; infinite for a plane without end.
+    /// Returns how far the shape reaches below its anchor, opposite to the unit vector `up`; infinite for an infinite plane.
     pub fn reach_below(&self, up: &Vector3<f64>) -> f64 {
         match self {
             Self::Sphere(sphere) | Self::Bowl(Bowl { sphere, .. }) => sphere.radius,

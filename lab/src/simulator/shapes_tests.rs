@@ -102,7 +102,7 @@ fn zoo() -> Vec<Shape> {
     [sphere, can, cone, block, plane].map(|shape| shape.transformed(&turn)).to_vec()
 }
 
-/// The normal is the gradient: of two points near the surface, the outer one is the one from which the ray still comes.
+/// The normal is the gradient: of two points near the surface, the ray meets the outer one first.
 #[test]
 fn normals_are_orthogonal_to_the_surface() {
     for shape in zoo() {
@@ -132,7 +132,7 @@ fn bounds_hold_every_point_and_are_tight() {
     for shape in zoo() {
         let [least, most] = shape.bounds().unwrap();
         let mut seen = [Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY)];
-        // seen from all six sides
+        // from all six sides
         for (axis, sign) in (0..3).flat_map(|axis| [(axis, 1.0), (axis, -1.0)]) {
             let mut direction = Vector3::zeros();
             direction[axis] = sign;

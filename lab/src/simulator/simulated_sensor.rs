@@ -1,5 +1,5 @@
-//! Sensors that are simulated and not only their noise: cameras that match blocks of images, and such that measure the time
-//! of flight.
+//! Sensors whose measuring principle is simulated, not only their noise: cameras that match blocks of images, and time-of-flight
+//! cameras.
 
 use super::matching_camera::{MatchingCamera, MatchingNumbers};
 use super::raster::Raster;
@@ -19,9 +19,9 @@ use serde::{Deserialize, Serialize};
                  `{ stereo = { baseline_m = 0.05 } }`"
 )]
 pub enum SimulatedSensor {
-    /// A sensor as it usually is.
+    /// A sensor with its usual numbers.
     Named(SensorKind),
-    /// One with numbers of its own.
+    /// A sensor with its own numbers.
     Table(SensorNumbers),
 }
 
@@ -37,7 +37,7 @@ pub enum SensorKind {
     TimeOfFlight,
 }
 
-/// The numbers of one kind; those that are left out are the usual ones.
+/// The numbers of one kind of sensor; the usual ones by default.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SensorNumbers {
@@ -59,7 +59,7 @@ impl SimulatedSensor {
         }
     }
 
-    /// What cannot be used about it.
+    /// Returns what is wrong with the parameters, if anything.
     pub fn fault(self) -> Option<ConfigFault> {
         let what = match self.numbers() {
             SensorNumbers::Stereo(numbers) | SensorNumbers::StructuredLight(numbers) => numbers.fault(),
@@ -76,7 +76,7 @@ enum Kind {
     TimeOfFlight(TimeOfFlightCamera),
 }
 
-/// A simulated sensor; turns scenes into pixels.
+/// A simulated sensor, which turns scenes into pixels.
 #[derive(Clone, Debug)]
 pub struct SensorSimulation {
     kind: Kind,
@@ -84,7 +84,8 @@ pub struct SensorSimulation {
 }
 
 impl SensorSimulation {
-    /// A sensor whose pixels count `depth_scale` metres; what is random about the thing itself comes from the seed.
+    /// Creates a sensor with `depth_scale` metres per unit of its pixels; the seed determines the random properties of the
+    /// device.
     pub fn new(sensor: SimulatedSensor, camera: &Camera, depth_scale: f64, seed: u64) -> Self {
         let matching = |camera: MatchingCamera| Kind::Matching(Box::new(camera));
         let kind = match sensor.numbers() {
@@ -97,7 +98,7 @@ impl SensorSimulation {
         Self { kind, units_per_metre: 1.0 / depth_scale }
     }
 
-    /// The noise that the frames tell of.
+    /// Returns the noise model for the frames' headers.
     pub fn noise_model(&self, camera: &Camera) -> NoiseModel {
         match &self.kind {
             Kind::Matching(matching) => matching.noise_model(camera.fx),
@@ -105,7 +106,7 @@ impl SensorSimulation {
         }
     }
 
-    /// Measures a rendered image of `shapes` (camera frame) into as many pixels.
+    /// Measures a rendered image of `shapes` (camera frame) into `pixels`.
     pub fn measure(&mut self, raster: &Raster, shapes: &[Shape], dice: &CounterRng, pixels: &mut [u16]) {
         let depths = match &mut self.kind {
             Kind::Matching(camera) => camera.measure(raster, shapes, dice),

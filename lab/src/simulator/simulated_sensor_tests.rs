@@ -17,7 +17,7 @@ fn board(z: f64, half: f64) -> Shape {
     Shape::Plane(Plane { point, normal, sides, half: [half, f64::INFINITY].map(|half| half.min(10.0)) })
 }
 
-/// The depths in metres of a frame, row by row; 0 where nothing is measured.
+/// Returns the depths of a frame in metres, row by row; 0 without a measurement.
 fn shot(sensor: SimulatedSensor, shapes: &[Shape], seed: u64, frame: u64) -> Vec<f64> {
     let raster = Raster::of(CAMERA, shapes);
     let mut pixels = vec![7; raster.depth.len()];
@@ -26,7 +26,7 @@ fn shot(sensor: SimulatedSensor, shapes: &[Shape], seed: u64, frame: u64) -> Vec
     pixels.into_iter().map(|pixel| f64::from(pixel) * FINE).collect()
 }
 
-/// Share of a column's pixels for which something holds.
+/// Returns the share of a column's pixels that fulfil a condition.
 fn share(depths: &[f64], column: usize, holds: impl Fn(f64) -> bool) -> f64 {
     let width = CAMERA.width as usize;
     let column = depths.chunks_exact(width).map(|row| row[column]);
@@ -52,8 +52,8 @@ fn a_frame_is_a_function_of_seed_and_number() {
     }
 }
 
-/// A board at 1 m before a wall at 2 m: the band of the wall that the second eye or the projector does not see is a hole,
-/// left of the board, as wide as the difference of the disparities.
+/// A board at 1 m in front of a wall at 2 m: the band of the wall that the second eye or the projector does not see is a hole on
+/// the left of the board, as wide as the difference of the disparities.
 #[test]
 fn what_the_second_eye_or_the_projector_does_not_see_is_a_hole() {
     let shapes = [board(1.0, 0.1), board(2.0, 10.0)];
@@ -70,7 +70,7 @@ fn what_the_second_eye_or_the_projector_does_not_see_is_a_hole() {
     }
 }
 
-/// As in recordings, a silhouette ends where it is or a little inside, although windows see both surfaces.
+/// As in recordings, a silhouette ends at its true position or slightly inside, although windows see both surfaces.
 #[test]
 fn a_silhouette_does_not_grow() {
     let shapes = [board(1.0, 0.1), board(2.0, 10.0)];
@@ -86,8 +86,8 @@ fn a_silhouette_does_not_grow() {
     }
 }
 
-/// A recording of a tin of this size and distance has 0.4 and 0.5 pixels in the first three pixels from its silhouettes, and 0.0
-/// and 0.1 from the fifth to the eighth (`experiments/README.md`).
+/// In a recording of a tin of this size and distance, the excess is 0.4 and 0.5 pixels in the first three pixels from its
+/// silhouettes, and 0.0 and 0.1 from the fifth to the eighth (`experiments/README.md`).
 #[test]
 fn what_is_round_is_flattened_at_its_silhouettes_as_in_recordings() {
     let (radius, z) = (0.034, 0.6);
@@ -98,7 +98,7 @@ fn what_is_round_is_flattened_at_its_silhouettes_as_in_recordings() {
     let depths: Vec<_> = (0..4).map(|seed| shot(STEREO, &shapes, seed, 1)).collect();
     let on_tin = |u: usize| raster.depth[u] < z;
     let (first, last) = ((0..320).find(|&u| on_tin(u)).unwrap(), (0..320).rfind(|&u| on_tin(u)).unwrap());
-    // How much greater the disparity is than that of the tin, in pixels, in the middle of all rows that measure it.
+    // Returns the excess of the disparity over that of the tin in pixels, as the median of all rows that measure it.
     let excess = |u: usize| {
         let of_row = |v: usize| (v * 320 + u, raster.depth[v * 320 + u]);
         let measured = depths.iter().flat_map(|depths| (0..160).map(move |v| (depths, of_row(v))));

@@ -1,32 +1,32 @@
-//! What every shape can tell.
+//! The common interface of all shapes.
 
 use super::pose::Pose;
 use nalgebra::Vector3;
 
-/// A ray that starts on a surface does not meet that surface again within this distance, in units of its direction.
+/// Least distance at which a ray that starts on a surface meets that surface again, in units of its direction.
 pub(super) const NEAREST: f64 = 1e-6;
 
-/// What every shape can tell; all in one frame, metres.
+/// The common interface of all shapes; everything is in one frame, in metres.
 pub trait Surface {
-    /// The first `t > 0` at which the ray meets it; infinite where it does not.
+    /// Returns the first `t > 0` at which the ray meets the shape; infinite if it does not.
     fn hit(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64;
-    /// Unit normal, outwards, at a point of the surface.
+    /// Returns the outward unit normal at a point of the surface.
     fn normal(&self, point: &Vector3<f64>) -> Vector3<f64>;
-    /// Least and greatest coordinates; `None`: without end.
+    /// Returns the least and greatest coordinates; `None` if the shape is infinite.
     fn bounds(&self) -> Option<[Vector3<f64>; 2]>;
-    /// The same shape in another frame.
+    /// Returns the shape in another frame.
     fn transformed(&self, target_from_source: &Pose) -> Self
     where
         Self: Sized;
 }
 
-/// A `t` that lies ahead, else infinity.
+/// Returns `t` if it is ahead, else infinity.
 #[inline]
 pub(super) fn ahead(t: f64) -> f64 {
     if t > NEAREST { t } else { f64::INFINITY }
 }
 
-/// The smaller of those that lie ahead.
+/// Returns the smaller one of two parameters that are ahead.
 #[inline]
 pub(super) fn first_ahead([one, other]: [f64; 2]) -> f64 {
     ahead(one).min(ahead(other))

@@ -43,7 +43,7 @@ fn intrinsics_scale_with_the_width_unless_they_are_given() {
     assert_eq!((given.camera().fx, given.camera().fy, given.camera().cx), (100.0, 110.0, 1.0));
 }
 
-/// What the default pipeline shows: ten seconds of a ball that is in the image and before everything else.
+/// The default pipeline's scene: for ten seconds a ball is in the image, in front of everything else.
 #[test]
 fn the_default_scene_keeps_its_objects_in_view() {
     let mut camera = camera(&small());

@@ -1,8 +1,8 @@
-//! A time-of-flight camera: a pixel measures the mean depth of all that it sees, by how much light comes back from it. At a
-//! silhouette that is a depth between the two surfaces, where nothing is: a flying pixel. Noise is that of the light, and
-//! neighbours share it as far as they are smoothed together.
+//! A time-of-flight camera: a pixel measures the mean depth of everything that it sees, weighted by the returned light. At a
+//! silhouette that is a depth between the two surfaces, a flying pixel. The noise is that of the light, and correlated as far as
+//! neighbours are smoothed together.
 //!
-//! Light comes back as `cos(a) / z^2`, a the angle between ray and normal; noise grows with what is missing of it.
+//! The returned light is `cos(a) / z^2`, with the angle a between ray and normal; the noise grows as the light decreases.
 
 use super::noise_field::noise_field;
 use super::raster::{Raster, is_jump};
@@ -14,10 +14,10 @@ use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Samples of a pixel at a silhouette, along each side.
+/// Samples per pixel at a silhouette, along each side.
 const SAMPLES: i64 = 5;
 
-/// Light that comes back; a number that is left out is that of a camera of the Azure Kinect's class.
+/// The numbers of a time-of-flight camera; by default those of the Azure Kinect's class.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TimeOfFlight {
@@ -67,13 +67,13 @@ impl Default for TimeOfFlight {
 #[derive(Clone, Debug)]
 pub struct TimeOfFlightCamera {
     table: TimeOfFlight,
-    /// Deviates that neighbours share.
+    /// Correlated deviates.
     noise: Vec<f64>,
-    /// The surfaces about a pixel.
+    /// The surfaces around a pixel.
     owners: Vec<u16>,
 }
 
-/// What of the light of a pixel comes back, and from where.
+/// The light that returns to a pixel, and its depth.
 #[derive(Clone, Copy, Default)]
 struct Light {
     amount: f64,
@@ -95,19 +95,19 @@ fn cosine(shape: &Shape, point: &Vector3<f64>) -> f64 {
 }
 
 impl TimeOfFlightCamera {
-    /// A camera that has seen nothing.
+    /// Creates a camera that has seen nothing.
     pub fn new(table: TimeOfFlight) -> Self {
         Self { table, noise: Vec::new(), owners: Vec::new() }
     }
 
-    /// The depth noise that the frames tell of.
+    /// Returns the noise model for the frames' headers.
     pub fn noise_model(&self) -> NoiseModel {
         let TimeOfFlight { floor_m, growth_per_m, knee_m, .. } = self.table;
         NoiseModel { floor_m, growth_per_m, knee_m, step_per_m: 0.0 }
     }
 
-    /// Measures a rendered image of `shapes` (camera frame): the depth of each pixel in metres, not a number where there is
-    /// none.
+    /// Measures a rendered image of `shapes` (camera frame); returns the depth of each pixel in metres, NaN without a
+    /// measurement.
     pub fn measure(&mut self, raster: &Raster, shapes: &[Shape], dice: &CounterRng) -> Vec<f64> {
         let window = self.table.noise_window_px.max(1) as usize;
         self.noise = noise_field(&raster.camera, window, |index| dice.gaussian(index as u64));
@@ -128,7 +128,7 @@ impl TimeOfFlightCamera {
         (self.table.min_range_m..=self.table.max_range_m).contains(&depth).then_some(depth)
     }
 
-    /// Whether several surfaces may be seen in a pixel; notes them.
+    /// Whether a pixel may see several surfaces; notes them.
     fn is_edge(&mut self, raster: &Raster, [u, v]: [i64; 2]) -> bool {
         let reach = (0.5 * self.table.footprint_px).ceil() as i64;
         let (width, height) = (i64::from(raster.camera.width), i64::from(raster.camera.height));
@@ -148,7 +148,7 @@ impl TimeOfFlightCamera {
         jumps || self.owners.len() > 1
     }
 
-    /// The light of all that a pixel sees, of the surfaces noted; the mean of its samples.
+    /// Returns the light of all noted surfaces in a pixel, as the mean of its samples.
     fn mixed(&self, raster: &Raster, shapes: &[Shape], [u, v]: [i64; 2]) -> Light {
         let camera = &raster.camera;
         let offset = |i: i64| self.table.footprint_px * ((i as f64 + 0.5) / SAMPLES as f64 - 0.5);
@@ -170,7 +170,7 @@ impl TimeOfFlightCamera {
     }
 }
 
-/// The light of a pixel that sees one surface.
+/// Returns the light of a pixel with a single surface.
 fn plain(raster: &Raster, shapes: &[Shape], [u, v]: [i64; 2]) -> Light {
     let mut light = Light::default();
     if let Some(shape) = shapes.get(usize::from(raster.owner[raster.index(u, v)])) {

@@ -1,5 +1,5 @@
-//! What is really there: the spheres, cylinders and cones of a rendered scene as [`Object`]s in the camera's frame, with
-//! the part of each that can be seen, and their lines in the truth file.
+//! The truth: the spheres, cylinders and cones of a rendered scene as [`Object`]s in the camera's frame, with the visible part of
+//! each, and their lines in the truth file.
 
 use super::motion::Motion;
 use super::raster::{Raster, Window, ray};
@@ -9,22 +9,22 @@ use conicflow_messages::{Camera, Fields, Named, Object, ObjectKind};
 use nalgebra::Vector3;
 use serde::Serialize;
 
-/// A sphere, cylinder or cone that is really there.
+/// A true sphere, cylinder or cone.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Truth {
     /// Its name in the scene.
     pub name: String,
-    /// Its visible part, as an extractor without fault would report it: `points` counts its visible pixels, `rows` the
-    /// rows that these lie in. Where nothing of it is visible: all of it, with no points.
+    /// Its visible part as an ideal detector would report it: `points` is the number of visible pixels, `rows` the number of
+    /// their rows. If nothing is visible: the whole, with no points.
     pub object: Object,
-    /// All of it: `center` and `length` are those of the whole body.
+    /// The whole object: `center` and `length` are those of the whole body.
     pub body: Object,
-    /// Share of the pixels that it would cover alone that are hidden by others or lie outside the image; 1 where it lies
-    /// behind the camera.
+    /// Share of the pixels that it would cover alone which are hidden by others or outside of the image; 1 if it is behind the
+    /// camera.
     pub hidden: f64,
-    /// Columns and rows from the first to the last of its visible pixels.
+    /// Columns and rows from the first to the last visible pixel.
     pub extent_px: [u32; 2],
-    /// Whether it is a bowl: its outside is a part of a sphere and may be called one, its inside may not.
+    /// Whether it is a bowl: its outside is a part of a sphere and may be detected as one, but its inside may not.
     pub bowl: bool,
     /// Whether it is a part of something that is no object.
     pub part: bool,
@@ -32,13 +32,13 @@ pub struct Truth {
     pub velocity: [f64; 3],
 }
 
-/// The truth of a scene at a time (seconds), as a camera of the scene's pose sees it.
+/// Returns the truth of a scene at a time (seconds), as seen by a camera at the scene's pose.
 pub fn truth_at(scene: &Scene, camera: Camera, time_s: f64) -> Vec<Truth> {
     let shapes: Vec<Shape> = scene.shapes_in_camera(time_s).collect();
     truth_of(scene, time_s, &Raster::of(camera, &shapes), &shapes)
 }
 
-/// The truth of a scene that was rendered; `shapes` are the scene's bodies in the camera's frame.
+/// Returns the truth of a rendered scene; `shapes` are its bodies in the camera's frame.
 pub fn truth_of(scene: &Scene, time_s: f64, raster: &Raster, shapes: &[Shape]) -> Vec<Truth> {
     let seen = look(raster, shapes);
     let mut truths = Vec::new();
@@ -60,7 +60,7 @@ pub fn truth_of(scene: &Scene, time_s: f64, raster: &Raster, shapes: &[Shape]) -
     truths
 }
 
-/// What is seen of a shape.
+/// The visible extent of a shape.
 #[derive(Clone, Copy, Debug)]
 struct VisibleExtent {
     points: u32,
@@ -133,19 +133,19 @@ impl VisibleExtent {
     }
 }
 
-/// Angle of a point about an axis, from the direction to the camera.
+/// Returns the angle of a point about an axis, from the direction to the camera.
 fn angle_about(center: &Vector3<f64>, axis: &Vector3<f64>, point: &Vector3<f64>) -> f64 {
     let to_camera = axis * center.dot(axis) - center;
     let outwards = point - center;
     axis.cross(&to_camera).dot(&outwards).atan2(to_camera.dot(&outwards))
 }
 
-/// The direction across the line of sight to a point that is nearest to the image's vertical.
+/// Returns the direction perpendicular to the line of sight that is nearest to the image's vertical.
 fn across(center: &Vector3<f64>) -> Vector3<f64> {
     center.cross(&Vector3::x()).try_normalize(1e-9).unwrap_or_else(Vector3::y)
 }
 
-/// The whole of a shape as an object; `None` for boxes and planes.
+/// Returns the whole shape as an object; `None` for boxes and planes.
 fn object(shape: &Shape) -> Option<Object> {
     match shape {
         Shape::Sphere(sphere) | Shape::Bowl(Bowl { sphere, .. }) => Some(Object {
@@ -159,7 +159,7 @@ fn object(shape: &Shape) -> Option<Object> {
     }
 }
 
-/// A frustum between two distances from its first end; one of equal radii is a cylinder.
+/// Returns the part of a frustum between two distances from its first end; with equal radii it is a cylinder.
 fn part_of(frustum: &Frustum, from: f64, to: f64) -> Object {
     let middle = 0.5 * (from + to);
     let whole = Object {
@@ -194,7 +194,7 @@ fn visible_part(whole: Object, shape: &Shape, seen: &VisibleExtent) -> Object {
     Object { points: seen.points, rows: seen.rows, arc: seen.angle.width(), ..part }
 }
 
-/// How many pixels a shape would cover beside the image, up to one image's size away.
+/// Returns the number of pixels that a shape would cover beside the image, up to one image's size away.
 fn covered_outside(camera: &Camera, shape: &Shape) -> u32 {
     let Some(window) = Window::of_bounds(camera, shape.bounds()) else { return 0 };
     let image = Window::image(camera, 0);
@@ -211,7 +211,7 @@ fn covered_outside(camera: &Camera, shape: &Shape) -> u32 {
     (around.v[0]..around.v[1]).map(row).sum()
 }
 
-/// Along a path that of the path, which may begin anew at once; else a central difference over a millisecond.
+/// Returns the velocity: on a path that of the path, which may jump; else a central difference over a millisecond.
 fn velocity(scene: &Scene, index: usize, time_s: f64) -> [f64; 3] {
     const HALF_STEP_S: f64 = 0.0005;
     let body = &scene.bodies[index];
@@ -223,7 +223,7 @@ fn velocity(scene: &Scene, index: usize, time_s: f64) -> [f64; 3] {
     scene.world_from_camera(time_s).rotation.tr_mul(&over_ground).into()
 }
 
-/// One line of the truth file: the objects of one frame, camera frame, metres, radians, seconds.
+/// One line of the truth file: the objects of one frame, in the camera frame, with metres, radians and seconds.
 #[derive(Clone, Debug, Serialize)]
 pub struct TruthLine {
     /// Number of the frame.
@@ -232,30 +232,30 @@ pub struct TruthLine {
     pub source: String,
     /// Simulated time in nanoseconds.
     pub stamp_ns: u64,
-    /// All spheres, cylinders and cones of the scene, also those that are not in the image (`points` is 0 then).
+    /// All spheres, cylinders and cones of the scene, including those outside of the image (with `points` = 0).
     pub objects: Vec<TruthObject>,
 }
 
-/// A true object as it stands in the truth file: its visible part as a detected one has it in JSON, without what an estimate has
-/// beside it, and what only the scene knows.
+/// A true object in the truth file: its visible part like a detected object in JSON, without the estimate's uncertainties, and
+/// what only the scene knows.
 #[derive(Clone, Debug, Serialize)]
 pub struct TruthObject {
     /// Its name in the scene.
     name: String,
-    /// `sphere`, `cylinder`, `cone`, or `bowl`: a shell whose outside is a part of the sphere given.
+    /// `sphere`, `cylinder`, `cone`, or `bowl`: a shell whose outside is a part of the given sphere.
     kind: &'static str,
     /// Whether it is a part of something that is no object: a limb, the leg of a chair.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     part: bool,
     #[serde(flatten)]
     visible: Fields<'static>,
-    /// Share of the pixels that it would cover alone that are hidden or outside the image.
+    /// Share of the pixels that it would cover alone which are hidden or outside of the image.
     hidden: f64,
     /// Velocity over ground, in the camera's axes.
     velocity: [f64; 3],
     /// Centre of the whole body.
     body_center: [f64; 3],
-    /// Length of the whole body; 0 of a sphere.
+    /// Length of the whole body; 0 for a sphere.
     body_length: f64,
 }
 

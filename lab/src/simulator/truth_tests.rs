@@ -7,7 +7,7 @@ use conicflow_detection::noise::NoiseName;
 
 const CAMERA: Camera = Camera { width: 160, height: 120, fx: 131.25, fy: 131.25, cx: 79.5, cy: 59.5 };
 
-/// Distance of a point from the surface that an object's numbers describe; flat ends count as surface.
+/// Returns the distance of a point from the surface of an object; flat ends are part of the surface.
 fn distance(body: &Object, point: &Vector3<f64>) -> f64 {
     let (center, axis, apex) = (Vector3::from(body.center), Vector3::from(body.axis), Vector3::from(body.apex));
     let along = (point - center).dot(&axis);
@@ -34,8 +34,7 @@ fn scene(objects: &str) -> Scene {
     Scene::parse(&format!("{head}{objects}"), "test.toml").unwrap()
 }
 
-/// The pixels as the ideal sensor writes them, deprojected, lie on the surfaces that the truth tells: in all built-in
-/// scenes and at several times.
+/// The pixels of the ideal sensor, deprojected, lie on the true surfaces, in all built-in scenes and at several times.
 #[test]
 fn every_measured_point_lies_on_its_true_surface() {
     for (name, time_s) in BUILT_IN.iter().flat_map(|(name, _)| [0.0, 1.3, 7.0].map(|time_s| (name, time_s))) {

@@ -1,8 +1,8 @@
-//! A smooth random image that stays: what a camera's lens and calibration bend.
+//! A smooth, constant random image: the bend of a camera's lens and calibration.
 
 use crate::random::CounterRng;
 
-/// Normal deviates at knots `length_px` apart, joined by cubic B-splines, of variance one in each pixel; row by row.
+/// Returns normal deviates of variance one for each pixel, row by row: cubic B-splines between knots `length_px` apart.
 pub fn waves([width, height]: [u32; 2], length_px: f64, dice: &CounterRng) -> Vec<f64> {
     let count = |size: u32| (f64::from(size) / length_px) as usize + 4;
     let (columns, rows) = (count(width), count(height));
@@ -25,7 +25,7 @@ pub fn waves([width, height]: [u32; 2], length_px: f64, dice: &CounterRng) -> Ve
     field
 }
 
-/// The first of the four knots that count at a place between knots, and how much each does.
+/// Returns the first of the four knots that contribute at a position, and their weights.
 fn weights(place: f64) -> (usize, [f64; 4]) {
     let knot = place.floor();
     let t = place - knot;

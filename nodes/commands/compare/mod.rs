@@ -1,7 +1,7 @@
-//! `conicflow compare`: two variants of a pipeline on the same frames, and how their answers and their times differ.
+//! `conicflow compare`: runs two variants of a pipeline on the same frames, and reports how their answers and times differ.
 //!
-//! Both run as they are, one after the other, without losing a frame; what each finds is recorded and then matched frame by
-//! frame ([`variant`]), counted ([`tally`]) and told ([`report`]).
+//! The variants run one after the other, unchanged, without losing a frame. Their objects are recorded, matched frame by frame
+//! ([`variant`]), counted ([`tally`]) and printed ([`report`]).
 
 mod pictures;
 mod report;
@@ -22,15 +22,15 @@ use std::sync::atomic::Ordering;
 use tally::Tally;
 use variant::{How, Variant};
 
-/// What is compared, and what is told of it.
+/// The variants to compare, and the outputs.
 #[derive(Args)]
 pub struct CompareArguments {
     #[command(flatten)]
     source: FileArguments,
-    /// What the first variant sets [default: nothing, it is the file as it stands]
+    /// Parameters of the first variant [default: none, it is the file as it stands]
     #[arg(long, value_name = "STAGE.KEY=VALUE", num_args = 1..)]
     a: Vec<String>,
-    /// What the second variant sets [default: nothing, it is the file as it stands]
+    /// Parameters of the second variant [default: none, it is the file as it stands]
     #[arg(long, value_name = "STAGE.KEY=VALUE", num_args = 1..)]
     b: Vec<String>,
     /// The topic with the answers, objects or tracks [default: the only one with objects, else with tracks]
@@ -42,10 +42,10 @@ pub struct CompareArguments {
     /// Writes a picture of each frame into this folder: what A found beside what B found
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
-    /// How many times as large as the frames each half of a picture is
+    /// Size of each half of a picture, as a multiple of the frames' size
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=8))]
     zoom: u32,
-    /// Keeps what both found in this folder, as `a.mcap` and `b.mcap`; `conicflow view` shows them together
+    /// Keeps the answers of both in this folder, as `a.mcap` and `b.mcap`; `conicflow view` shows them together
     #[arg(long, value_name = "DIR")]
     record: Option<PathBuf>,
     /// Print JSON in place of the tables, with the objects of each frame in which the variants differ
@@ -53,10 +53,10 @@ pub struct CompareArguments {
     json: bool,
 }
 
-/// Runs both variants and prints how they differ.
+/// Runs both variants and prints their differences.
 ///
 /// # Errors
-/// A variant cannot run, or their frames are not the same.
+/// A variant cannot run, or the variants did not get the same frames.
 pub fn compare(arguments: &CompareArguments, log: &str) -> Result<ExitCode> {
     ensure!(
         arguments.a != arguments.b,
@@ -102,7 +102,7 @@ pub fn compare(arguments: &CompareArguments, log: &str) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Refuses to write what the variants read.
+/// Refuses outputs that the variants read.
 fn refuse_to_overwrite(arguments: &CompareArguments, variants: [&Pipeline; 2]) -> Result<()> {
     let recording = |folder: &PathBuf| ["a.mcap", "b.mcap"].map(|name| FileUse::one("--record", folder.join(name)));
     let pictures = |folder: &PathBuf| FileUse::ending("--pictures", folder.clone(), ".png");
@@ -114,7 +114,7 @@ fn refuse_to_overwrite(arguments: &CompareArguments, variants: [&Pipeline; 2]) -
     variants.into_iter().find_map(over).map_or(Ok(()), |fault| Err(fault.into()))
 }
 
-/// Both variants of the file. What is wrong with both is told as it is of any file, what is wrong with one by its letter.
+/// Reads both variants of the file. A fault of both is reported as for any file, one of a single variant by its letter.
 fn read(arguments: &CompareArguments) -> Result<(Pipeline, Pipeline)> {
     let source = &arguments.source;
     let read = |set: &Vec<String>| {
@@ -135,7 +135,7 @@ fn read(arguments: &CompareArguments) -> Result<(Pipeline, Pipeline)> {
     }
 }
 
-/// The topic whose messages are compared.
+/// Returns the topic whose messages are compared.
 fn answers(pipeline: &Pipeline, wanted: Option<&str>) -> Result<String> {
     let with = |kind: &str| -> Vec<&str> {
         pipeline.topics().into_iter().filter(|topic| pipeline.kind_of(topic) == Some(kind)).collect()

@@ -1,4 +1,4 @@
-//! Pictures of both variants side by side: each frame with what A found at the left, and what B found at the right.
+//! Pictures of both variants side by side: each frame with the objects of A at the left, and those of B at the right.
 
 use super::report::words;
 use super::variant::{Frame, Variant};
@@ -10,10 +10,10 @@ use conicflow_messages::{Message, Object};
 use std::fs;
 use std::path::Path;
 
-/// Writes a picture of each frame into a folder, which is made if need be.
+/// Writes a picture of each frame into a folder, which is created if it is missing.
 ///
 /// # Errors
-/// It cannot be written, or the recorded depth images cannot be read.
+/// A picture cannot be written, or the recorded depth images cannot be read.
 pub(super) fn write(folder: &Path, zoom: u32, [a, b]: [&Variant; 2], sets: [&[String]; 2]) -> Result<()> {
     fs::create_dir_all(folder).with_context(|| format!("the folder `{}` cannot be made", folder.display()))?;
     let config = Config { zoom, ..Config::default() };
@@ -32,14 +32,14 @@ pub(super) fn write(folder: &Path, zoom: u32, [a, b]: [&Variant; 2], sets: [&[St
     Ok(())
 }
 
-/// What one variant found.
+/// The half of a picture for one variant.
 struct Side {
     painter: Painter,
     depth: Replay,
 }
 
 impl Side {
-    /// Draws what it found in a frame, with a word on that which the other has not.
+    /// Draws the variant's objects of a frame, with `word` on those that the other variant does not have.
     fn draw(&mut self, frame: &Frame, alone: &[usize], word: &str) -> Result<()> {
         self.painter.begin(&frame.header.camera);
         while let Some(depth) = self.depth.next_message()? {
@@ -57,7 +57,7 @@ impl Side {
 }
 
 impl Frame {
-    /// What was found in it.
+    /// Returns the objects that were found in the frame.
     pub(super) fn objects(&self) -> Vec<Object> {
         self.answers.iter().map(|answer| answer.object).collect()
     }

@@ -1,4 +1,4 @@
-//! What a comparison tells: tables for people, and the same with the objects as JSON.
+//! The report of a comparison: tables for people, and the same as JSON together with the objects.
 
 use super::tally::{Tally, Unlike, share_below};
 use conicflow_dataflow::Table;
@@ -8,25 +8,25 @@ use indexmap::IndexSet;
 use serde_json::{Value as Json, json};
 use std::fmt::{self, Display};
 
-/// Frames that are pointed out.
+/// Number of frames that are listed.
 const POINTED_OUT: usize = 5;
 
-/// Two variants and what was counted.
+/// Two variants and their counts.
 pub(super) struct Variants<'a> {
     pub(super) topic: &'a str,
-    /// What each sets.
+    /// The parameters that each sets.
     pub(super) sets: [&'a [String]; 2],
     pub(super) tally: &'a Tally,
 }
 
-/// A quantity in which objects differ, of those kinds that have it.
+/// A quantity in which objects differ, and the kinds of objects that have it.
 struct Quantity {
     name: &'static str,
     unit: &'static str,
     key: &'static str,
     of: fn(&Difference) -> f64,
     has: fn(ObjectKind) -> bool,
-    /// Whether it can be on either side: a distance, an angle and a ratio have no other side.
+    /// Whether the difference has a sign; a distance, an angle and a ratio have none.
     is_signed: bool,
 }
 
@@ -66,7 +66,7 @@ const QUANTITIES: [Quantity; 5] = [
     },
 ];
 
-/// What a variant sets, in words.
+/// Names the parameters that a variant sets.
 pub(super) fn words(set: &[String]) -> String {
     if set.is_empty() { "the file as it stands".to_owned() } else { set.join(" ") }
 }
@@ -76,7 +76,7 @@ fn cell(number: Option<f64>, digits: usize) -> String {
 }
 
 impl Variants<'_> {
-    /// The differences of one quantity.
+    /// Returns the differences of one quantity.
     fn values(&self, quantity: &Quantity) -> impl Iterator<Item = f64> + Clone {
         let having = self.tally.differences.iter().filter(|(kind, _)| (quantity.has)(*kind));
         having.map(|(_, difference)| (quantity.of)(difference))
@@ -120,7 +120,7 @@ impl Variants<'_> {
         table
     }
 
-    /// How each scores against the truth, if that is known.
+    /// Returns the scores of both against the truth, if that is known.
     fn scores(&self) -> Option<Table> {
         let mut table = Table::new(&["TRUTH", "", "A", "B"]);
         let [a, b] = &self.tally.scores;
@@ -135,7 +135,7 @@ impl Variants<'_> {
         Some(table)
     }
 
-    /// The frames that differ most, the most unlike first.
+    /// Returns the frames with the most differences, in descending order.
     fn most_unlike(&self) -> Vec<&Unlike> {
         let mut unlike: Vec<_> = self.tally.unlike.iter().collect();
         unlike.sort_by_key(|frame| std::cmp::Reverse(frame.count()));
@@ -143,7 +143,7 @@ impl Variants<'_> {
         unlike
     }
 
-    /// All of it, in the units of its keys; objects as in `json_sink`.
+    /// Returns all results in the units of their keys; objects are as in `json_sink`.
     pub(super) fn json(&self) -> Json {
         let tally = self.tally;
         let kinds = tally.kinds.iter().map(|(kind, [a, b, both, only_a, only_b])| {

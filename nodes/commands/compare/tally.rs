@@ -9,30 +9,30 @@ use conicflow_messages::{Hinted, Hop, Object, ObjectKind};
 use indexmap::IndexMap;
 use std::collections::BTreeMap;
 
-/// What was counted of two variants.
+/// The counts of two variants.
 #[derive(Default)]
 pub(super) struct Tally {
-    /// Frames that both have answered.
+    /// Number of frames that both have answered.
     pub(super) frames: u64,
-    /// Frames to which both said the same, to the bit.
+    /// Number of frames with exactly the same answers.
     pub(super) same: u64,
-    /// By the kind that the objects have: in A, in B, in both, only in A, only in B.
+    /// By the objects' kind: number in A, in B, in both, only in A, only in B.
     pub(super) kinds: BTreeMap<ObjectKind, [u64; 5]>,
-    /// What A takes for the first kind, and B for the second.
+    /// Objects that are of the first kind in A, and of the second in B.
     pub(super) other_kind: BTreeMap<(ObjectKind, ObjectKind), u64>,
-    /// Of what both have as the same kind.
+    /// Differences of objects that have the same kind in both.
     pub(super) differences: Vec<(ObjectKind, Difference)>,
-    /// Times of the stages in A and in B, in ms, in the order of the way, the source first.
+    /// Times of the stages in A and in B, in ms, in the order of the data flow, source first.
     pub(super) times: IndexMap<String, [Vec<f64>; 2]>,
-    /// Times of all stages behind the source together.
+    /// Sums of the times of all stages after the source, in ms.
     pub(super) together: [Vec<f64>; 2],
-    /// How each scores, where the truth is known.
+    /// The scores of each, if the truth is known.
     pub(super) scores: [Option<Row>; 2],
-    /// The frames in which one finds something that the other does not, or another kind.
+    /// Frames in which one variant finds an object that the other does not, or another kind.
     pub(super) unlike: Vec<Unlike>,
 }
 
-/// A frame in which the variants differ in more than numbers.
+/// A frame in which the variants differ in objects or their kinds, not only in numbers.
 pub(super) struct Unlike {
     pub(super) sequence: u64,
     pub(super) source: String,
@@ -42,10 +42,10 @@ pub(super) struct Unlike {
 }
 
 impl Tally {
-    /// Counts what two variants have answered to the same frames.
+    /// Counts the answers of two variants to the same frames.
     ///
     /// # Errors
-    /// The frames are not the same, or their truth is not known though it should be.
+    /// The frames are not the same, or the truth of one is not known although it should be.
     pub(super) fn of(a: &mut Variant, b: &mut Variant) -> Result<Self> {
         ensure_same_frames(&a.frames, &b.frames)?;
         let mut tally = Self::default();
@@ -97,7 +97,7 @@ impl Tally {
         }
     }
 
-    /// Adds how long each stage had the frame, from when it took it until it sent its own message.
+    /// Adds the time of each stage with the frame, from receiving its message until sending its own.
     fn time(&mut self, frame: &Frame, variant: usize) {
         let ms = |hop: &Hop| hop.sent_ns.saturating_sub(hop.received_ns) as f64 * 1e-6;
         self.together[variant].push(frame.header.trace().iter().skip(1).map(ms).sum());
@@ -108,13 +108,13 @@ impl Tally {
 }
 
 impl Unlike {
-    /// In how many objects.
+    /// Number of objects that differ.
     pub(super) fn count(&self) -> usize {
         self.only_a.len() + self.only_b.len() + self.other_kind.len()
     }
 }
 
-/// The value below which a share of the values lies; none of no numbers.
+/// Returns the value below which a share of the values lies; `None` if there are none.
 pub(super) fn share_below(values: impl Iterator<Item = f64>, share: f64) -> Option<f64> {
     quantile(&mut values.filter(|value| value.is_finite()).collect::<Vec<_>>(), share)
 }

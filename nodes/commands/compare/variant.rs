@@ -1,5 +1,5 @@
-//! One variant of a pipeline: runs the stages that its answers come from, each a process as ever, without losing a frame, and
-//! reads what was recorded of them.
+//! One variant of a pipeline: runs the stages that produce its answers, each in a process as usual, without losing a frame, and
+//! reads the recording of the answers.
 
 use crate::recording::files::Files;
 use crate::recording::own;
@@ -22,47 +22,47 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{SystemTime, UNIX_EPOCH};
 use tempfile::TempDir;
 
-/// The stage that records.
+/// Name of the stage that records.
 const RECORDER: &str = "compare";
-/// What the answers may be.
+/// Types of the answers.
 const OBJECTS: ItemType = ItemType::shown::<Object>();
 const TRACKS: ItemType = ItemType::shown::<Track>();
 
-/// How variants are run.
+/// Options for running variants.
 pub(super) struct How<'a> {
-    /// Sources end after so many frames.
+    /// Number of frames after which sources end.
     pub(super) frames: Option<u64>,
-    /// Whether the depth images are kept.
+    /// Whether the depth images are recorded, too.
     pub(super) with_depth: bool,
-    /// The folder in which the recordings stay.
+    /// The folder in which the recordings are kept.
     pub(super) keep: Option<&'a Path>,
-    /// Whether this process was asked to end.
+    /// Whether a signal asked this process to end.
     pub(super) interrupted: Arc<AtomicBool>,
     pub(super) options: RunOptions,
 }
 
-/// What a variant answered to a frame.
+/// A variant's answer to a frame.
 pub(super) struct Frame {
-    /// The header of the answer, with the times of the stages on its way.
+    /// The header of the answer, with the times of the stages that it passed.
     pub(super) header: Header,
     pub(super) answers: Vec<Answer>,
 }
 
-/// A variant that has run.
+/// The results of a variant that has run.
 pub(super) struct Variant {
     pub(super) frames: Vec<Frame>,
-    /// What knows the truth, if anything does.
+    /// The evaluation against the truth, if that is known.
     pub(super) truth: Option<Evaluation>,
     recording: PathBuf,
-    /// The folder of the recording, where that goes with the variant.
+    /// The temporary folder of the recording, unless it is kept.
     _folder: Option<TempDir>,
 }
 
 impl Variant {
-    /// Runs a pipeline as far as the answers in `topic`; where it was not finished, how far it came.
+    /// Runs a pipeline as far as it leads to `topic`; if the run was not finished, returns its summary.
     ///
     /// # Errors
-    /// It cannot be run, or nothing was recorded.
+    /// The pipeline cannot be run, or nothing was recorded.
     pub(super) fn run(
         letter: &str,
         mut pipeline: Pipeline,
@@ -96,20 +96,21 @@ impl Variant {
         Ok(Ok(Self { frames, truth, recording, _folder: folder }))
     }
 
-    /// The depth images that were recorded with the answers.
+    /// Plays the depth images that were recorded with the answers.
     pub(super) fn depth(&self) -> Result<Replay> {
         let config = mcap_source::Config { path: Some(self.recording.clone()), ..mcap_source::Config::default() };
         Ok(Replay::open(&config, Path::new(""), &ItemType::of::<u16>())?.silent())
     }
 }
 
-/// The name of a variant's run: no longer than that of a pipeline may be, and not that of one that runs.
+/// Returns a name for a variant's run, which is short enough and differs from that of a running pipeline.
 fn name_of(pipeline: &str, letter: &str) -> String {
     let ending = format!("-{letter}");
     format!("{}{ending}", &pipeline[..pipeline.len().min(MAX_STAGE_NAME - ending.len())])
 }
 
-/// How the answers are scored: as an `evaluation_sink` of the file says, else against the scene of a simulated camera.
+/// Returns how to score the answers: with the parameters of an `evaluation_sink` in the file, or against the scene of a simulated
+/// camera.
 fn truth(pipeline: &Pipeline) -> Result<Option<EvaluationConfig>> {
     let of_node = |name: &str| {
         let is_node = |stage: &&StageSpec| matches!(&stage.program, Program::Node(node) if node.name == name);
@@ -120,12 +121,12 @@ fn truth(pipeline: &Pipeline) -> Result<Option<EvaluationConfig>> {
         return Ok(Some(config));
     }
     let Some(parameters) = of_node(SyntheticSource::NAME) else { return Ok(None) };
-    // A built-in scene is known by the name that its frames have.
+    // The name of a built-in scene is in its frames.
     let scene = parameters["scene"].as_str().map(Path::new).filter(|scene| pipeline.base.join(scene).is_file());
     Ok(Some(EvaluationConfig { scene: scene.map(Path::to_owned), ..EvaluationConfig::default() }))
 }
 
-/// Leaves those stages that the messages of a topic come from, on this machine, and lets them lose nothing.
+/// Removes the stages that do not contribute to a topic, puts the others on this machine, and makes their inputs lossless.
 fn keep_what_leads_to(topic: &str, pipeline: &mut Pipeline) {
     let mut needed = BTreeSet::from([topic.to_owned()]);
     let mut known = 0;
@@ -147,7 +148,7 @@ fn keep_what_leads_to(topic: &str, pipeline: &mut Pipeline) {
                 lose_nothing(input);
             }
         }
-        // The truth of the user's own run stays as it is.
+        // The truth file of the user's own run must not be overwritten.
         stage.parameters.as_object_mut().and_then(|parameters| parameters.remove("truth_path"));
     }
 }
@@ -156,7 +157,7 @@ fn lose_nothing(input: &mut Input) {
     input.delivery = Delivery::Lossless;
 }
 
-/// Adds a stage that takes every message of the topic, and the depth image with it, into a recording.
+/// Adds a stage that records every message of the topic, and the depth images if `with_depth`.
 fn record(plan: &mut Plan, topic: &str, with_depth: bool, path: &Path) -> Result<()> {
     let reader = TopicReader { stage: RECORDER.to_owned(), delivery: Delivery::Lossless, queue: 4 };
     let depth = plan.topics().find(|topic| topic.kind() == Some(u16::NAME)).map(|topic| topic.name.clone());
@@ -187,7 +188,7 @@ fn record(plan: &mut Plan, topic: &str, with_depth: bool, path: &Path) -> Result
     Ok(())
 }
 
-/// The answers of a recording, in the order of their frames.
+/// Reads the answers of a recording, in the order of their frames.
 fn read(path: &Path) -> Result<Vec<Frame>> {
     let files = Files::find(path)?;
     let channels = files.survey()?;

@@ -1,4 +1,4 @@
-//! The sink that writes JSON: one object per message and line, for scripts, plots and other programs.
+//! Writes one JSON object per message and line, for scripts, plots and other programs.
 
 use crate::faults::stage_error;
 use crate::sinks::json_lines::{JsonLines, Wrote};
@@ -34,9 +34,9 @@ fn is_standard_output(path: &Path) -> bool {
 pub struct JsonSink {
     lines: JsonLines,
     stop: Stop,
-    /// What the lists consist of.
+    /// Type of the lists' items.
     item: ItemType,
-    /// The last line of an earlier process, which may have been killed before it could say that it had written that.
+    /// The last line of an earlier process, which may have been killed before it acknowledged that message.
     last: Option<Json>,
 }
 
@@ -88,7 +88,7 @@ impl Stage for JsonSink {
 }
 
 impl JsonSink {
-    /// Writes a message as a line, unless an earlier process has.
+    /// Writes a message as a line, unless an earlier process has written it.
     fn write(&mut self, header: &Header, bytes: &[u8], latency_ms: Option<f64>) -> Result<(), StageError> {
         let message = AnyMessage { header, item: &self.item, bytes };
         if self.last.take_if(|last| is_told_by(last, &message)).is_some() {
@@ -102,7 +102,7 @@ impl JsonSink {
     }
 }
 
-/// Whether a line tells of this message; when it was written does not matter.
+/// Whether a line describes this message; its latency is not compared.
 fn is_told_by(line: &Json, message: &AnyMessage) -> bool {
     if line["sequence"] != message.header.sequence {
         return false;
@@ -127,7 +127,7 @@ mod tests {
         assert!(JsonSink::faults(&JsonSinkConfig::default(), folder.path()).is_empty());
     }
 
-    /// The file stands relative to the pipeline file.
+    /// The path is relative to the pipeline file.
     #[test]
     fn a_line_that_a_killed_process_has_written_is_not_written_again() {
         let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! An RGB image to draw on: dots, smooth lines of any length clipped to the image, and text.
+//! An RGB image for drawing: dots, antialiased lines clipped to the image, and text.
 
 use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster};
 
@@ -18,7 +18,7 @@ pub(super) struct Box2 {
 }
 
 impl Box2 {
-    /// Whether two have a pixel in common.
+    /// Whether two rectangles have a pixel in common.
     pub(super) fn overlaps(&self, other: &Self) -> bool {
         self.left < other.left + other.width
             && other.left < self.left + self.width
@@ -27,7 +27,7 @@ impl Box2 {
     }
 }
 
-/// How large text is.
+/// The size of text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Size {
     /// Lines of 16 pixels.
@@ -62,12 +62,12 @@ pub(super) struct Canvas {
     width: u32,
     height: u32,
     bytes: Vec<u8>,
-    /// How much of each pixel the lines of a stroke cover.
+    /// Coverage of each pixel by the lines of a stroke.
     mask: Vec<u8>,
 }
 
 impl Canvas {
-    /// Makes it black, of that size; the memory is kept.
+    /// Makes the canvas black and of this size; its memory is reused.
     pub(super) fn begin(&mut self, width: u32, height: u32) {
         (self.width, self.height) = (width, height);
         let pixels = width as usize * height as usize;
@@ -87,13 +87,13 @@ impl Canvas {
         &self.bytes
     }
 
-    /// Where a pixel's three bytes begin; one outside of the image is not there.
+    /// Returns the index of a pixel's first byte; `None` outside of the image.
     fn index(&self, x: i64, y: i64) -> Option<usize> {
         let inside = (0..i64::from(self.width)).contains(&x) && (0..i64::from(self.height)).contains(&y);
         inside.then(|| 3 * (y * i64::from(self.width) + x) as usize)
     }
 
-    /// Paints a pixel with so much of the colour, from 0 to 1.
+    /// Blends a pixel with a colour; `opacity` is 0 to 1.
     fn blend(&mut self, x: i64, y: i64, colour: Colour, opacity: f64) {
         let Some(index) = self.index(x, y) else { return };
         if opacity >= 1.0 {
@@ -115,7 +115,7 @@ impl Canvas {
         }
     }
 
-    /// Draws lines as one stroke: where they meet it is no stronger. What lies outside of the image costs nothing.
+    /// Draws lines as one stroke: pixels where they meet are painted once. Parts outside of the image cost nothing.
     pub(super) fn stroke(&mut self, lines: impl Iterator<Item = Line>, width: f64, colour: Colour, opacity: f64) {
         let mut touched = Vec::new();
         for (from, to) in lines {
@@ -130,18 +130,18 @@ impl Canvas {
         }
     }
 
-    /// The part of a line that can be seen.
+    /// Returns the visible part of a line.
     pub(super) fn clipped(&self, from: [f64; 2], to: [f64; 2], width: f64) -> Option<Line> {
         let margin = width + 1.0;
         clip(from, to, -margin, [f64::from(self.width) + margin, f64::from(self.height) + margin])
     }
 
-    /// Notes how much of each pixel lies within half a width of a line.
+    /// Adds the coverage of pixels by a line of this width.
     fn cover(&mut self, (from, to): Line, width: f64, touched: &mut Vec<usize>) {
         let (dx, dy) = (to[0] - from[0], to[1] - from[1]);
         let is_steep = dy.abs() > dx.abs();
         let [along, across] = if is_steep { [1, 0] } else { [0, 1] };
-        // Across the line's main direction it is wider by the square root of two at most.
+        // Across its main direction a line is wider by a factor of at most the square root of two.
         let reach = 0.75 * width + 1.0;
         let (first, last) = (from[along].min(to[along]) - reach, from[along].max(to[along]) + reach);
         let slope = if is_steep { dx / dy } else { dy / dx };
@@ -163,14 +163,14 @@ impl Canvas {
         }
     }
 
-    /// Paints a pixel of the frame, which is a square of so many pixels.
+    /// Paints a pixel of the frame as a square of `zoom` x `zoom` pixels.
     pub(super) fn dot(&mut self, x: i64, y: i64, zoom: u32, colour: Colour) {
         let side = i64::from(zoom);
         let [left, top] = [x.saturating_mul(side), y.saturating_mul(side)];
         self.fill(Box2 { left, top, width: side, height: side }, colour, 1.0);
     }
 
-    /// Writes text, its upper left corner at `(left, top)`; a sign that the font does not have is a question mark.
+    /// Draws text with its upper left corner at `(left, top)`; characters missing in the font become question marks.
     pub(super) fn text(&mut self, (left, top): (i64, i64), text: &str, look: (Size, bool, Colour, f64)) {
         let (size, is_bold, colour, opacity) = look;
         let weight = if is_bold { FontWeight::Bold } else { FontWeight::Regular };
@@ -187,8 +187,7 @@ impl Canvas {
         }
     }
 
-    /// Puts a smaller image of it into another canvas, at a place there; each of its pixels is the mean of those that it stands
-    /// for.
+    /// Draws the canvas, scaled down, into another one; each pixel is the mean of those that it replaces.
     pub(super) fn shrink_into(&self, to: &mut Self, place: Box2) {
         for y in 0..place.height {
             for x in 0..place.width {
@@ -210,7 +209,7 @@ impl Canvas {
     }
 }
 
-/// The pixels of `size` that the one with this number of `of` stands for; at least one.
+/// Returns the range of the `size` pixels that pixel `number` of `of` replaces; at least one.
 fn share(number: i64, of: i64, size: u32) -> std::ops::Range<usize> {
     let at = |number: i64| (number * i64::from(size) / of.max(1)) as usize;
     let first = at(number).min(size as usize - 1);
@@ -225,7 +224,7 @@ fn distance_from_line(point: [f64; 2], from: [f64; 2], delta: [f64; 2]) -> f64 {
     (offset[0] - along * delta[0]).hypot(offset[1] - along * delta[1])
 }
 
-/// Cuts lines, one behind the other, into dashes of `on` pixels with gaps of `off`.
+/// Cuts consecutive lines into dashes of `on` pixels with gaps of `off`.
 pub(super) fn dashes(lines: impl Iterator<Item = Line>, on: f64, off: f64) -> Vec<Line> {
     let (mut dashes, mut passed) = (Vec::new(), 0.0);
     for (from, to) in lines {
@@ -235,7 +234,7 @@ pub(super) fn dashes(lines: impl Iterator<Item = Line>, on: f64, off: f64) -> Ve
         while along < length {
             let phase: f64 = (passed + along) % (on + off);
             let is_on = phase < on;
-            // Rounding must not make a step of nothing.
+            // After rounding a step must not be zero.
             let end = (along + (if is_on { on } else { on + off } - phase).max(1e-3)).min(length);
             if is_on {
                 dashes.push((at(along), at(end)));
@@ -247,7 +246,7 @@ pub(super) fn dashes(lines: impl Iterator<Item = Line>, on: f64, off: f64) -> Ve
     dashes
 }
 
-/// The part of a line inside of a rectangle (Liang and Barsky 1984); `None` if there is none.
+/// Returns the part of a line inside of a rectangle (Liang and Barsky 1984); `None` if there is none.
 fn clip(from: [f64; 2], to: [f64; 2], lower: f64, upper: [f64; 2]) -> Option<Line> {
     let (mut enter, mut leave) = (0.0_f64, 1.0_f64);
     let delta = [to[0] - from[0], to[1] - from[1]];
@@ -262,7 +261,7 @@ fn clip(from: [f64; 2], to: [f64; 2], lower: f64, upper: [f64; 2]) -> Option<Lin
             }
         }
     }
-    // Rounding must not lead far out again.
+    // Rounding must not put the ends far outside again.
     let at = |t: f64| [0, 1].map(|axis| (from[axis] + t * delta[axis]).clamp(lower, upper[axis]));
     let finite = delta.iter().chain(&from).all(|number| number.is_finite());
     (finite && enter <= leave).then(|| (at(enter), at(leave)))

@@ -1,13 +1,13 @@
-//! Paints a depth image in the colours of the page of `conicflow view`: near is warm, far is cold, and what holds no measurement
-//! is black; and the scale that says which colour is how far.
+//! Paints a depth image in the colours of the page of `conicflow view`: near is warm, far is cold, no measurement is black. Also
+//! draws the scale of these colours.
 
 use super::canvas::{Box2, Canvas, Colour, Size};
 use conicflow_lab::quantile::at_rank;
 use conicflow_messages::is_measured;
 
-/// Where nothing was measured.
+/// Colour of pixels without a measurement.
 const HOLE: Colour = [10, 13, 19];
-/// Where along the scale which colour stands, from near to far.
+/// Colours at positions along the scale, from near to far.
 const STOPS: [(f64, Colour); 7] = [
     (0.0, [255, 222, 158]),
     (0.14, [250, 172, 96]),
@@ -17,13 +17,13 @@ const STOPS: [(f64, Colour); 7] = [
     (0.85, [50, 52, 112]),
     (1.0, [26, 40, 78]),
 ];
-/// Colours of the scale; more cannot be told apart.
+/// Number of colours of the scale; more cannot be distinguished.
 const SHADES: usize = 256;
 
-/// Length of the scale in a picture that has room for it.
+/// Largest length of the scale, in pixels.
 const LONGEST_PX: i64 = 96;
 
-/// The colour at a part of the scale, from 0 to 1.
+/// Returns the colour at a position on the scale, from 0 to 1.
 fn colour_at(part: f64) -> Colour {
     let next = STOPS.iter().position(|(stop, _)| *stop >= part).unwrap_or(STOPS.len() - 1).max(1);
     let ((from, near), (to, far)) = (STOPS[next - 1], STOPS[next]);
@@ -31,19 +31,19 @@ fn colour_at(part: f64) -> Colour {
     [0, 1, 2].map(|i| (f64::from(near[i]) + share * (f64::from(far[i]) - f64::from(near[i]))).round() as u8)
 }
 
-/// Paints depth images; keeps room for a frame's depths.
+/// Paints depth images; keeps a buffer for a frame's depths.
 #[derive(Debug)]
 pub(super) struct DepthView {
     near_m: Option<f64>,
     far_m: Option<f64>,
     measured: Vec<u16>,
     shades: Vec<Colour>,
-    /// The depths of the first and the last colour in the image that was painted last, in metres.
+    /// Depths of the first and the last colour in the last painted image, in metres.
     range_m: Option<[f64; 2]>,
 }
 
 impl DepthView {
-    /// Paints with the depths of the warmest and the coldest colour in metres; those not given follow each frame.
+    /// Creates a painter; depths of the warmest and the coldest colour (in metres) that are not given are chosen for each frame.
     pub(super) fn new(near_m: Option<f64>, far_m: Option<f64>) -> Self {
         let shades = (0..SHADES).map(|shade| colour_at(shade as f64 / (SHADES - 1) as f64)).collect();
         Self { near_m, far_m, measured: Vec::new(), shades, range_m: None }
@@ -54,7 +54,7 @@ impl DepthView {
         self.range_m = None;
     }
 
-    /// Paints all of a canvas that is `zoom` times as large as the image; `scale` is in metres per unit.
+    /// Paints the whole canvas, which is `zoom` times as large as the image; `scale` is in metres per unit.
     pub(super) fn paint(&mut self, pixels: &[u16], width: u32, scale: f64, (zoom, canvas): (u32, &mut Canvas)) {
         let (low, high) = self.usual_range(pixels);
         let near = self.near_m.map_or(low, |near_m| near_m / scale);
@@ -69,7 +69,7 @@ impl DepthView {
         self.range_m = Some([near * scale, far * scale]);
     }
 
-    /// Draws the scale of the image that was painted last, its right end at `right`; returns where it begins.
+    /// Draws the scale of the last painted image, with its right end at `right`; returns its left end.
     pub(super) fn draw_scale(&self, canvas: &mut Canvas, (right, top): (i64, i64), size: Size) -> i64 {
         let Some([near, far]) = self.range_m else { return right };
         let length = (i64::from(canvas.size().0) / 5).clamp(16, LONGEST_PX);
@@ -88,7 +88,7 @@ impl DepthView {
         begin
     }
 
-    /// The depths below which 1 and 97 percent of the measurements lie.
+    /// Returns the depths at 1 and 97 percent of the measurements.
     fn usual_range(&mut self, pixels: &[u16]) -> (f64, f64) {
         if self.near_m.is_some() && self.far_m.is_some() {
             return (0.0, 1.0);

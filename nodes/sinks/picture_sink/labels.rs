@@ -1,26 +1,26 @@
-//! Labels beside what they name: what it is, how sure that is, and how large; none lies over another.
+//! Labels beside outlines: kind, confidence and radius; no label covers another.
 
 use super::canvas::{Box2, Canvas, Colour, Size};
 use conicflow_messages::{Object, ObjectKind};
 
 const GROUND: Colour = [9, 12, 18];
 const PALE: Colour = [228, 233, 242];
-/// Room beside the text, in pixels.
+/// Space beside the text, in pixels.
 const PAD: i64 = 4;
-/// Width of the stripe that has the colour of the outline.
+/// Width of the stripe in the colour of the outline, in pixels.
 const STRIPE: i64 = 3;
-/// Distance of a label from what it names.
+/// Distance of a label from its outline, in pixels.
 const GAP: i64 = 5;
-/// In narrower pictures labels have one line.
+/// In pictures narrower than this, labels have one line.
 const NARROW_PX: i64 = 300;
 
-/// What is written beside an outline.
+/// The text beside an outline.
 pub(super) struct Label {
     pub(super) lines: [String; 2],
     pub(super) colour: Colour,
-    /// From 0 to 1.
+    /// Confidence, from 0 to 1.
     pub(super) sure: f64,
-    /// The rectangle around the outline.
+    /// The bounding rectangle of the outline.
     pub(super) around: Box2,
 }
 
@@ -43,13 +43,13 @@ pub(super) fn lines(name: &str, object: &Object, note: Option<&str>) -> [String;
     [first, size]
 }
 
-/// A number with its standard deviation, to the digits that this tells.
+/// Formats a number with its standard deviation, to the digits that are significant.
 fn with_sigma(number: f64, sigma: f64) -> String {
     let digits = usize::from(sigma < 1.95);
     if sigma > 0.0 { format!("{number:.digits$} ± {sigma:.digits$}") } else { format!("{number:.digits$}") }
 }
 
-/// Draws labels into a part of a picture, the surest first; one for which there is no room is left out.
+/// Draws labels into a part of a picture, those of highest confidence first; leaves out labels without room.
 pub(super) fn draw(labels: &mut [Label], room: Box2, size: Size, canvas: &mut Canvas) {
     labels.sort_by(|a, b| b.sure.total_cmp(&a.sure));
     let mut taken: Vec<Box2> = Vec::new();
@@ -81,7 +81,7 @@ pub(super) fn draw(labels: &mut [Label], room: Box2, size: Size, canvas: &mut Ca
     }
 }
 
-/// Where the upper left of a label may stand around a rectangle, the best place first.
+/// Returns positions for the upper left corner of a label around a rectangle, the best one first.
 fn places(around: &Box2, width: i64, height: i64) -> Vec<(i64, i64)> {
     let Box2 { left, top, width: wide, height: high } = *around;
     let (right, bottom) = (left + wide, top + high);
@@ -116,7 +116,7 @@ fn draw_one(label: &Label, lines: &[String], (place, size): (Box2, Size), canvas
     }
 }
 
-/// A thin line to what a label names, if that is not beside it.
+/// Draws a thin line from a label to its outline, unless it is next to it.
 fn lead(label: &Label, place: &Box2, strength: f64, canvas: &mut Canvas) {
     let near = |low: i64, length: i64, wanted: i64| wanted.clamp(low, low + length - 1);
     let around = &label.around;
@@ -154,7 +154,7 @@ mod tests {
         Label { lines: lines("sphere", &sphere, None), colour: [255; 3], sure: 0.9, around }
     }
 
-    /// Counts what is not black: labels that lie over each other would cover less.
+    /// Counts the pixels that are not black: overlapping labels would cover fewer.
     #[test]
     fn labels_of_what_stands_close_together_do_not_overlap_and_stay_inside() {
         let at = |left: i64, top: i64| Box2 { left, top, width: 30, height: 30 };

@@ -1,7 +1,7 @@
-//! Writes pictures to look at: the depth image in colours, over it the ellipses and the outlines of objects or tracks.
+//! Writes pictures: the depth image in colours, with the ellipses and the outlines of objects or tracks over it.
 //!
-//! One sink for whatever drives it, a list of objects, tracks or ellipses; the depth image and the ellipses of the same
-//! frame come by side inputs and may be missing.
+//! The driving input can be a list of objects, tracks or ellipses; the depth image and the ellipses of the same frame are side
+//! inputs and may be missing.
 
 mod canvas;
 mod depth_view;
@@ -28,17 +28,17 @@ use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 use whole_file::write_whole;
 
-/// Longest stem of a picture's name, in bytes: file systems take 255, and there is an ending.
+/// Longest stem of a picture's name, in bytes: file systems allow 255 with the ending.
 const LONGEST_NAME: usize = 200;
 
 /// Parameters of [`PictureSink`].
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// Folder for the pictures; it is made if need be. May be left out where `moving` says what is wanted.
+    /// Folder for the pictures, which is created if need be; may be left out if `moving` is given.
     pub path: Option<PathBuf>,
-    /// File for one moving picture (APNG) of all that is drawn, up to 300 pictures, which browsers and README pages play; it is
-    /// written at the end.
+    /// File for one moving picture (APNG) of everything that is drawn, up to 300 pictures, which browsers and README pages play;
+    /// it is written at the end.
     pub moving: Option<PathBuf>,
     /// Its width, in pixels; that of the pictures where they are narrower.
     #[schemars(range(min = 16, max = 1920))]
@@ -46,8 +46,8 @@ pub struct Config {
     /// Draw every so many frames, of each camera.
     #[schemars(range(min = 1))]
     pub every: u64,
-    /// What pictures are called after: `sequence` (frame_000012.png), `stage` (camera_000012.png, after the stage that had
-    /// the frame first: for several cameras) or `source` (the frame's file, where it has one).
+    /// Names of the pictures: by `sequence` (frame_000012.png), `stage` (camera_000012.png, after the stage that had the frame
+    /// first: for several cameras) or `source` (the frame's file, where it has one).
     pub names: Names,
     /// Width of the outlines, in pixels.
     #[schemars(range(min = 1, max = 15))]
@@ -55,9 +55,9 @@ pub struct Config {
     /// Whether objects are labelled with their kind, confidence and radius with its standard deviation, and tracks with their
     /// number.
     pub labels: bool,
-    /// Whether the lowest lines of the picture tell the frame, its time, and the scale of the depth.
+    /// Whether the lowest lines of the picture show the frame, its time, and the scale of the depth.
     pub legend: bool,
-    /// How many pixels of the picture, along either side, stand for one of the frame.
+    /// Number of pixels of the picture, along either side, for one pixel of the frame.
     #[schemars(range(min = 1, max = 8))]
     pub zoom: u32,
     /// Put so many pictures, smaller, onto one contact sheet each (sheet_0001.png); 0: no sheets.
@@ -71,7 +71,7 @@ pub struct Config {
     pub far_m: Option<f64>,
 }
 
-/// What pictures are called after.
+/// The naming of pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Names {
@@ -103,8 +103,8 @@ impl Default for Config {
 }
 
 impl Config {
-    /// The files that are written, which are named by parameters called so. Where pictures are called after what comes only with
-    /// the frames, any PNG of the folder may be one.
+    /// Returns the files that are written, for the parameters with the keys `path` and `moving`. If names depend on the frames,
+    /// any PNG of the folder may be one of them.
     pub fn writes(&self, base: &Path, path: &'static str, moving: &'static str) -> Vec<FileUse> {
         let mut files = Vec::new();
         if let Some(folder) = self.path.as_ref().map(|path| base.join(path)) {
@@ -121,10 +121,10 @@ impl Config {
     }
 }
 
-/// Refuses a name for a moving picture by which it would be taken for something else.
+/// Refuses names of moving pictures with an ending of another format.
 ///
 /// # Errors
-/// The name has an ending that is not one of a PNG, with one that is as the hint.
+/// The ending is not one of a PNG; the hint proposes one that is.
 pub fn check_moving(path: &Path) -> Result<(), Hinted> {
     match path.extension().map(|ending| ending.to_ascii_lowercase()) {
         Some(ending) if ending != "png" && ending != "apng" => Err(Hinted::new(
@@ -135,7 +135,7 @@ pub fn check_moving(path: &Path) -> Result<(), Hinted> {
     }
 }
 
-/// Writes a PNG for every message, or every so many.
+/// Writes a PNG for every message, or for one in so many.
 pub struct PictureSink<T> {
     folder: Option<PathBuf>,
     moving: Option<Moving>,
@@ -145,18 +145,18 @@ pub struct PictureSink<T> {
     zoom: u32,
     sheet: Option<Sheet>,
     file: Vec<u8>,
-    /// Whose frame the last picture is.
+    /// Camera of the last picture.
     camera: Option<Text<32>>,
-    /// Whether it was said that they are of several cameras.
+    /// Whether the warning about several cameras was already logged.
     is_told: bool,
     item: PhantomData<T>,
 }
 
 impl<T: Drawn> PictureSink<T> {
-    /// Makes the folder of the pictures ready, relative to `base`; of `every` messages `resume_at` were taken before.
+    /// Creates the folder of the pictures, relative to `base`; `resume_at` messages were taken before a restart.
     ///
     /// # Errors
-    /// There is no folder in the parameters, or it cannot be made.
+    /// The parameters name no folder, or it cannot be created.
     pub fn open(config: &Config, base: &Path, resume_at: u64) -> Result<Self> {
         ensure!(
             config.path.is_some() || config.moving.is_some(),
@@ -186,7 +186,7 @@ impl<T: Drawn> PictureSink<T> {
         self.write_picture(input, depth.as_ref(), ellipses.map_or(&[], |message| message.items))
     }
 
-    /// Draws a message and writes the picture, if it is its turn; returns the file, where pictures have one each.
+    /// Draws a message and writes the picture if it is due; returns the file, if pictures have one each.
     ///
     /// # Errors
     /// The camera cannot be that of an image, or the file cannot be written.
@@ -216,16 +216,16 @@ impl<T: Drawn> PictureSink<T> {
         Ok(Some(path))
     }
 
-    /// Writes what is written at the end: the contact sheet that is not full yet, and the moving picture.
+    /// Writes the last contact sheet and the moving picture.
     ///
     /// # Errors
-    /// They cannot be written.
+    /// A file cannot be written.
     pub fn end(&mut self) -> Result<()> {
         self.write_sheet()?;
         self.moving.as_ref().map_or(Ok(()), Moving::write)
     }
 
-    /// Writes the contact sheet, if there is something on it.
+    /// Writes the contact sheet if it has pictures.
     fn write_sheet(&mut self) -> Result<()> {
         let Some(sheet) = self.sheet.as_mut().filter(|sheet| !sheet.is_empty()) else { return Ok(()) };
         let Some(folder) = &self.folder else { return Ok(()) };
@@ -263,7 +263,7 @@ impl<T: Drawn> PictureSink<T> {
         Ok(())
     }
 
-    /// Says once that the pictures of several cameras may overwrite each other.
+    /// Warns once if pictures of several cameras may overwrite each other.
     fn look_for_another_camera(&mut self, header: &Header) {
         let camera = header.origin();
         if self.names != Names::Stage && self.camera.is_some_and(|other| other != camera) && !self.is_told {
@@ -276,10 +276,10 @@ impl<T: Drawn> PictureSink<T> {
     }
 }
 
-/// Writes a PNG under another name first, so that nobody sees half of it; `file` is room for its bytes.
+/// Writes a PNG under a temporary name first, so that no reader sees half of it; `file` is the buffer for its bytes.
 ///
 /// # Errors
-/// It cannot be written.
+/// The file cannot be written.
 fn write_png(canvas: &Canvas, file: &mut Vec<u8>, path: &Path) -> Result<()> {
     file.clear();
     let (width, height) = canvas.size();
@@ -291,10 +291,10 @@ fn write_png(canvas: &Canvas, file: &mut Vec<u8>, path: &Path) -> Result<()> {
     write_whole(path, file)
 }
 
-/// Writes the pictures of two painters side by side into one PNG; `file` is room for its bytes.
+/// Writes the pictures of two painters side by side into one PNG; `file` is the buffer for its bytes.
 ///
 /// # Errors
-/// It cannot be written.
+/// The file cannot be written.
 pub fn write_beside(painters: [&Painter; 2], file: &mut Vec<u8>, path: &Path) -> Result<()> {
     const GAP: u32 = 4;
     let [left, right] = painters.map(Painter::canvas);
@@ -307,7 +307,7 @@ pub fn write_beside(painters: [&Painter; 2], file: &mut Vec<u8>, path: &Path) ->
     write_png(&both, file, path)
 }
 
-/// `frame_000012.png`, `camera_000012.png`, or the stem of the frame's file where the source names one.
+/// Returns `frame_000012.png`, `camera_000012.png`, or the stem of the frame's file if the source names one.
 fn picture_name(header: &Header, names: Names) -> String {
     let source = Path::new(header.source.as_str().unwrap_or_default());
     match (names, source.extension(), source.file_stem()) {
@@ -317,7 +317,7 @@ fn picture_name(header: &Header, names: Names) -> String {
     }
 }
 
-/// A name from another process, without what could lead out of the folder, and no longer than a file's may be.
+/// Replaces the letters of a name from another process that could lead out of the folder, and shortens it to a valid file name.
 fn harmless(name: &str) -> String {
     let allowed = |letter: char| letter.is_alphanumeric() || "._- ".contains(letter);
     let mut harmless: String = name.chars().map(|letter| if allowed(letter) { letter } else { '_' }).collect();

@@ -1,7 +1,7 @@
-//! Pictures one behind the other as one moving picture (APNG), small enough for a README.
+//! Writes consecutive pictures as one moving picture (APNG), small enough for a README.
 //!
-//! What changes by less than can be seen is left as it was, so that noise takes no room; the rest is in up to 255 colours, the
-//! most frequent ones of all pictures.
+//! Pixels that change too little to be seen stay as they were, so that noise takes no space. The others use a palette of up to
+//! 255 colours, the most frequent ones of all pictures.
 
 use super::canvas::{Box2, Canvas};
 use super::whole_file::write_whole;
@@ -11,36 +11,36 @@ use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-/// More pictures do not fit into memory that a stage should take: 300 of 640x480 are 180 MB.
+/// Largest number of pictures, by the memory that a stage should use: 300 of 640x480 are 180 MB.
 const MOST: usize = 300;
-/// Nobody sees that a colour has changed by so much of 255.
+/// Largest change of a colour, of 255, that cannot be seen.
 const UNSEEN: u8 = 12;
-/// As many colours, and one for what stays as it was.
+/// Size of the palette, beside one entry for pixels that stay as they were.
 const COLOURS: usize = 255;
-/// A pixel that stays as it was; no colour of 15 bits.
+/// Code of a pixel that stays as it was; it is no colour of 15 bits.
 const SAME: u16 = u16::MAX;
-/// The shortest and the longest time of a picture, in milliseconds.
+/// Shortest and longest duration of a picture, in milliseconds.
 const TIMES_MS: (u64, u64) = (20, 10_000);
 
-/// Pictures of a run, until it ends.
+/// The pictures of a run, kept until its end.
 pub(super) struct Moving {
     path: PathBuf,
     width: u32,
     size: Option<(u32, u32)>,
-    /// What is seen after the last picture.
+    /// The visible pixels after the last picture.
     seen: Vec<[u8; 3]>,
-    /// Each picture in colours of 15 bits, and when it was taken.
+    /// The pixels of each picture in colours of 15 bits, and its time stamp.
     pictures: Vec<(Vec<u16>, u64)>,
     is_told: bool,
 }
 
 impl Moving {
-    /// A moving picture of this width, or that of the pictures where they are narrower, which will be written there.
+    /// Creates a moving picture with this file; it is `width` pixels wide, or as wide as narrower pictures.
     pub(super) fn new(path: PathBuf, width: u32) -> Self {
         Self { path, width, size: None, seen: Vec::new(), pictures: Vec::new(), is_told: false }
     }
 
-    /// Adds a picture, unless there are enough, or it is of another size than those before.
+    /// Adds a picture, unless there are enough, or it differs in size from those before.
     pub(super) fn add(&mut self, picture: &Canvas, stamp_ns: u64) {
         let (width, height) = picture.size();
         let wide = self.width.min(width);
@@ -94,7 +94,7 @@ impl Moving {
         encoder.set_color(ColorType::Indexed);
         encoder.set_depth(BitDepth::Eight);
         encoder.set_compression(Compression::High);
-        // Numbers of colours are not near each other where the colours are.
+        // Neighbouring numbers of the palette are not similar colours, so that filters would not help.
         encoder.set_filter(Filter::NoFilter);
         encoder.set_palette(
             [[0; 3]].into_iter().chain(palette.iter().map(|code| decoded(*code))).flatten().collect::<Vec<_>>(),
@@ -112,7 +112,7 @@ impl Moving {
         Ok(file)
     }
 
-    /// The colours of all pictures, the most frequent first; their numbers follow from this order.
+    /// Returns the colours of all pictures, the most frequent first; their order gives their numbers.
     fn colours(&self) -> Vec<u16> {
         let mut counts = BTreeMap::<u16, u64>::new();
         for code in self.pictures.iter().flat_map(|(picture, _)| picture).filter(|code| **code != SAME) {
@@ -123,7 +123,7 @@ impl Moving {
         codes.into_iter().map(|(code, _)| code).collect()
     }
 
-    /// How long each picture is shown: until the next was taken, the last as long as the one before it.
+    /// Returns the duration of each picture: until the next one; the last has that of the one before.
     fn times_ms(&self) -> impl Iterator<Item = u16> {
         let stamps: Vec<_> = self.pictures.iter().map(|(_, stamp_ns)| *stamp_ns).collect();
         let mut times: Vec<_> = stamps.windows(2).map(|pair| pair[1].saturating_sub(pair[0]) / 1_000_000).collect();
@@ -132,17 +132,17 @@ impl Moving {
     }
 }
 
-/// A colour in 15 bits.
+/// Encodes a colour in 15 bits.
 fn coded(pixel: &[u8; 3]) -> u16 {
     pixel.iter().fold(0, |code, part| (code << 5) | u16::from(part >> 3))
 }
 
-/// The middle of the colours that are coded so.
+/// Returns the middle of the colours with this code.
 fn decoded(code: u16) -> [u8; 3] {
     [10, 5, 0].map(|shift| ((code >> shift & 31) << 3) as u8 | 4)
 }
 
-/// Of each of these colours, the number of its nearest in the palette; 0 is that of none.
+/// Returns the number of the nearest colour of the palette for each colour; 0 is reserved for unchanged pixels.
 fn number_of(colours: &[u16], palette: &[u16]) -> BTreeMap<u16, u8> {
     let distance = |a: u16, b: u16| -> u32 {
         let apart = |(one, other): (u8, u8)| u32::from(one.abs_diff(other)).pow(2);
@@ -161,7 +161,7 @@ mod tests {
     use std::io::BufReader;
     use std::path::Path;
 
-    /// A grey picture of 8x6 with a square of a colour.
+    /// A grey picture of 8x6 pixels with a coloured square.
     fn picture(left: i64, grey: u8, colour: [u8; 3]) -> Canvas {
         let mut canvas = Canvas::default();
         canvas.begin(8, 6);
@@ -170,7 +170,7 @@ mod tests {
         canvas
     }
 
-    /// The pictures of a file as they are seen one after the other, and their times in ms.
+    /// The visible pictures of a file one after the other, and their durations in ms.
     fn played(path: &Path) -> Vec<(Vec<[u8; 3]>, u16)> {
         let mut reader = png::Decoder::new(BufReader::new(File::open(path).unwrap())).read_info().unwrap();
         let palette = reader.info().palette.clone().unwrap().into_owned();

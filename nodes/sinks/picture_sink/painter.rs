@@ -1,5 +1,5 @@
-//! What a picture shows, and how: shapes in the colour of their kind, tracks in that of their number; what is surer is stronger,
-//! what is tentative dotted, what coasts broken; and below what frame it is and how far the colours are.
+//! Draws the content of a picture: shapes in the colour of their kind, tracks in that of their number. Higher confidence is
+//! stronger, tentative tracks are dotted, coasting ones dashed. The legend names the frame and the depths of the colours.
 
 use super::Config;
 use super::canvas::{Box2, Canvas, Colour, Line, Size, dashes};
@@ -10,23 +10,23 @@ use conicflow_view::outline::{self, Segment};
 
 const ARC: Colour = [240, 215, 90];
 const ARC_CENTER: Colour = [235, 90, 200];
-/// Every so many pixels of an arc are dotted.
+/// Distance between the dots of an arc, in pixels.
 const ARC_STEP: u32 = 4;
-/// What lies under outlines and text, so that they are seen on any ground.
+/// Colour under outlines and text, so that they are visible on any background.
 const SHADOW: Colour = [5, 7, 10];
 const PALE: Colour = [228, 233, 242];
-/// From this height on text is large.
+/// Height of a picture, in pixels, from which text is large.
 const LARGE_FROM_PX: u32 = 960;
-/// How sure a method is that does not tell.
+/// Confidence of objects from a method that reports none.
 const USUALLY_SURE: f64 = 0.8;
 
-/// Colours of tracks, told apart also by the colour-blind (after Okabe and Ito 2008, lightened for a dark ground).
+/// Colours of tracks that colour-blind people can distinguish, too (after Okabe and Ito 2008, lightened for a dark background).
 const TRACK_COLOURS: [Colour; 7] =
     [[245, 170, 40], [95, 190, 245], [20, 190, 140], [250, 235, 90], [70, 140, 230], [240, 110, 40], [225, 140, 190]];
 
 /// Items that a picture can show.
 pub trait Drawn: Item {
-    /// Draws them over what is there.
+    /// Draws the items over the picture.
     fn draw(items: &[Self], painter: &mut Painter);
 }
 
@@ -68,21 +68,21 @@ fn kind_colour(kind: ObjectKind) -> Colour {
     }
 }
 
-/// How sure one may be of an object, from 0 to 1.
+/// Confidence of an object for drawing, from 0 to 1.
 fn sureness(object: &Object) -> f64 {
     if object.confidence > 0.0 { f64::from(object.confidence) } else { USUALLY_SURE }
 }
 
-/// How an outline is drawn.
+/// The style of an outline.
 #[derive(Clone, Copy, Debug)]
 struct LineStyle {
     colour: Colour,
     sure: f64,
-    /// Length of dashes and gaps, if it is broken.
+    /// Lengths of dashes and gaps in pixels, if it is dashed.
     dash: Option<[f64; 2]>,
 }
 
-/// Draws one picture after the other; its buffers are kept.
+/// Draws one picture after another; its buffers are reused.
 pub struct Painter {
     camera: Camera,
     canvas: Canvas,
@@ -97,7 +97,7 @@ pub struct Painter {
 }
 
 impl Painter {
-    /// A painter by the parameters of the sink.
+    /// Creates a painter with the parameters of the sink.
     pub fn new(config: &Config) -> Self {
         Self {
             camera: Camera::default(),
@@ -113,13 +113,13 @@ impl Painter {
         }
     }
 
-    /// The same with a title above each picture.
+    /// Returns the painter with a title above each picture.
     #[must_use]
     pub fn titled(self, title: String) -> Self {
         Self { title: Some(title), ..self }
     }
 
-    /// Begins a black picture as large as the camera's, or so many times as large as was asked for.
+    /// Begins a black picture of the camera's size times the zoom.
     pub fn begin(&mut self, camera: &Camera) {
         self.camera = *camera;
         self.canvas.begin(camera.width * self.zoom, camera.height * self.zoom);
@@ -131,7 +131,7 @@ impl Painter {
         &self.canvas
     }
 
-    /// Paints the depth image, unless it is of another size.
+    /// Paints the depth image, unless it has another size.
     pub fn depth(&mut self, depth: &Message<u16>) {
         let camera = &depth.header.camera;
         if (camera.width, camera.height) == (self.camera.width, self.camera.height) {
@@ -140,7 +140,7 @@ impl Painter {
         }
     }
 
-    /// Dots the arcs of ellipses, and their centres.
+    /// Draws the arcs of ellipses as dots, and their centres.
     pub fn ellipses(&mut self, ellipses: &[Ellipse]) {
         for ellipse in ellipses {
             self.arc(ellipse);
@@ -164,7 +164,7 @@ impl Painter {
         }
     }
 
-    /// Draws an object in the colour of its kind, with a word on it if there is one.
+    /// Draws an object in the colour of its kind, with a note on its label if there is one.
     pub fn object(&mut self, object: &Object, note: Option<&str>) {
         let style = LineStyle { colour: kind_colour(object.shape()), sure: sureness(object), dash: None };
         self.shape(object, style, labels::lines(object.shape().name(), object, note));
@@ -191,7 +191,7 @@ impl Painter {
         }
     }
 
-    /// The lines of the outline that are hidden or not, in the pixels of the picture, as far as they lie in it.
+    /// Returns the hidden or the visible lines of the outline, in pixels of the picture, clipped to it.
     fn lines(&self, hidden: bool) -> Vec<Line> {
         let zoom = f64::from(self.zoom);
         let at = |point: [f64; 2]| point.map(|pixel| (pixel + 0.5) * zoom - 0.5);
@@ -201,7 +201,7 @@ impl Painter {
             .collect()
     }
 
-    /// Finishes the picture: puts the labels where none lies over another, and the legend below.
+    /// Finishes the picture: draws labels, which do not cover each other, and the legend below.
     pub fn finish(&mut self, header: &Header) {
         let (width, height) = self.canvas.size();
         let size = if height >= LARGE_FROM_PX { Size::Large } else { Size::Small };
@@ -222,7 +222,7 @@ impl Painter {
         }
     }
 
-    /// Draws the number and the time of the frame, and the scale of the depth as far as there is room.
+    /// Draws number and time of the frame, and the scale of the depth if there is room.
     fn draw_legend(&mut self, header: &Header, top: i64, size: Size) {
         let width = i64::from(self.canvas.size().0);
         self.canvas.fill(Box2 { left: 0, top, width, height: size.line() }, SHADOW, 0.75);
@@ -237,7 +237,7 @@ impl Painter {
     }
 }
 
-/// A text in lines that are no wider than there is room; a word that is wider is broken.
+/// Breaks a text into lines that fit into `room` pixels; a longer word is broken.
 fn wrapped(text: &str, room: i64, size: Size) -> Vec<String> {
     let mut lines = vec![String::new()];
     for word in text.split(' ') {
@@ -256,7 +256,7 @@ fn wrapped(text: &str, room: i64, size: Size) -> Vec<String> {
     lines
 }
 
-/// The rectangle around lines.
+/// Returns the bounding rectangle of lines.
 fn around(lines: &[Line]) -> Option<Box2> {
     let first = lines.first()?.0;
     let (mut low, mut high) = (first, first);

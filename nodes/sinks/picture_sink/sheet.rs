@@ -1,24 +1,24 @@
-//! A contact sheet: many pictures, small, in one, to see a whole run at a glance.
+//! A contact sheet: many small pictures in one, to see a whole run at a glance.
 
 use super::canvas::{Box2, Canvas};
 
 /// Width of a small picture, in pixels.
 const WIDTH: i64 = 320;
-/// Between them.
+/// Distance between small pictures, in pixels.
 const GAP: i64 = 4;
-/// Where there are fewer, a sheet is no wider than they are.
+/// Largest number of columns; with fewer pictures a sheet is narrower.
 const COLUMNS: usize = 6;
 
-/// Small pictures, until they are as many as a sheet holds.
+/// Collects small pictures until a sheet is full.
 pub(super) struct Sheet {
     room: usize,
-    /// How many sheets there were before.
+    /// Number of sheets before this one.
     before: u64,
     small: Vec<Canvas>,
 }
 
 impl Sheet {
-    /// Sheets of so many pictures, the first behind `before` others.
+    /// Creates sheets of `room` pictures each; `before` sheets exist already.
     pub(super) fn new(room: usize, before: u64) -> Self {
         Self { room, before, small: Vec::new() }
     }
@@ -41,12 +41,12 @@ impl Sheet {
         self.small.is_empty()
     }
 
-    /// The number of the sheet, the first is 1.
+    /// Number of the sheet, from 1.
     pub(super) fn number(&self) -> u64 {
         self.before + 1
     }
 
-    /// The sheet as a picture; the next one begins.
+    /// Returns the sheet as a picture, and begins the next one.
     pub(super) fn take(&mut self) -> Canvas {
         let small = std::mem::take(&mut self.small);
         self.before += 1;

@@ -65,7 +65,7 @@ fn objects_are_drawn_over_depth_and_ellipses() {
     assert_eq!(pixel(&picture, 95, 60), wall);
 }
 
-/// A sink that draws outlines alone.
+/// Parameters for outlines only.
 fn plain() -> Config {
     Config { labels: false, legend: false, ..Config::default() }
 }
@@ -74,7 +74,7 @@ fn painted(picture: &[[u8; 3]]) -> usize {
     picture.iter().filter(|pixel| **pixel != [0; 3]).count()
 }
 
-/// The strongest orange there is.
+/// The strongest red in a picture.
 fn strength(picture: &[[u8; 3]]) -> u8 {
     picture.iter().map(|pixel| pixel[0]).max().unwrap()
 }

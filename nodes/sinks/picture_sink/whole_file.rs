@@ -1,15 +1,15 @@
-//! Files of pictures that nobody sees half written.
+//! Writes files of pictures so that no reader sees half of one.
 
 use anyhow::Result;
 use conicflow_messages::{Hinted, is_special};
 use std::path::Path;
 use std::{fs, io};
 
-/// Writes a file that has its name only when it is whole, into a folder that is made where it is missing. A link stays one, and
-/// a device is written into.
+/// Writes a file under a temporary name and renames it when it is complete; creates its folder if that is missing. A link stays a
+/// link, and a device is written into.
 ///
 /// # Errors
-/// It cannot be written.
+/// The file cannot be written.
 pub(super) fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
     let path = &path.canonicalize().unwrap_or_else(|_| path.to_owned());
     let folder = path.parent().map_or(Ok(()), fs::create_dir_all);
@@ -22,7 +22,7 @@ fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let part = path.with_extension("part");
     let replaced = fs::write(&part, bytes).and_then(|()| fs::rename(&part, path));
     if replaced.is_err() {
-        // What cannot be removed either is left as a part.
+        // If removing it fails, too, the incomplete file stays.
         fs::remove_file(&part).ok();
     }
     replaced

@@ -8,7 +8,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// Frames per second by which frames without time stamps are stamped when `rate_hz` is 0.
+/// Frame rate assumed for frames without time stamps when `rate_hz` is 0.
 pub(crate) const USUAL_RATE_HZ: f64 = 30.0;
 
 /// Parameters of `image_source`.
@@ -27,7 +27,7 @@ pub struct Config {
     /// Frames per second; 0: as fast as the pipeline takes them, stamped as at 30 Hz. Recorded time stamps are kept.
     #[schemars(range(min = 0.0))]
     pub rate_hz: f64,
-    /// Where the camera was in each frame, for tracking in the world: `auto` (7-Scenes `*.pose.txt`, TUM `groundtruth.txt` or an
+    /// The camera's pose in each frame, for tracking in the world: `auto` (7-Scenes `*.pose.txt`, TUM `groundtruth.txt` or an
     /// Open3D trajectory `*.log` beside the frames or above them, else none), `none`, or the path of such a file or folder.
     pub poses: PosesConfig,
     /// Depth noise of the sensor: a name (`kinect_v1`, `realsense_d435`, `time_of_flight`, `ideal`) or a table.
@@ -40,22 +40,22 @@ pub struct Config {
     /// The most frames to send from there (in each round of a loop), unreadable ones included; default: all.
     #[schemars(range(min = 1))]
     pub frames: Option<u64>,
-    /// Where these parameters are written.
+    /// Where these parameters were written, for the hints.
     #[serde(skip)]
     pub written_in: WrittenIn,
 }
 
-/// What the pipeline file says of poses: `auto`, `none`, or a path.
+/// Choice of the poses in the pipeline file: `auto`, `none`, or a path.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(from = "String", into = "String")]
 #[schemars(with = "String")]
 pub enum PosesConfig {
-    /// Those beside the frames, if there are any.
+    /// The poses beside the frames, if there are any.
     #[default]
     Auto,
-    /// None, also where there are some.
+    /// No poses, even if there are some.
     None,
-    /// Those of a file, or of a folder with a file for each frame.
+    /// The poses of a file, or of a folder with a file for each frame.
     Path(PathBuf),
 }
 
@@ -97,7 +97,7 @@ impl Default for Config {
 }
 
 impl Config {
-    /// What types and ranges cannot tell: values that exclude each other, files that are missing.
+    /// Returns the faults that types and ranges do not exclude: values that contradict each other, missing files.
     pub fn faults(&self, base: &Path) -> Vec<ConfigFault> {
         let mut faults = Vec::new();
         match self.path.as_ref().map(|path| base.join(path)) {

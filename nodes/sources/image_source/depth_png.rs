@@ -1,4 +1,4 @@
-//! Depth images as 16-bit grey PNGs: told from colour images by their header, decoded straight into the message.
+//! Depth images as 16-bit grey PNGs: distinguished from colour images by their header, decoded straight into the message.
 
 use anyhow::{Context as _, Result, bail, ensure};
 use conicflow_messages::{Hinted, MAX_PIXELS};
@@ -7,10 +7,10 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor, Seek};
 use std::path::Path;
 
-/// What to do about a file that cannot be read.
+/// Hint of the errors about unreadable files.
 pub(super) const HINT: &str = "depth images are 16-bit grey PNGs; copy or record this one anew, or take it out";
 
-/// What a PNG holds.
+/// The kind of image in a PNG.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Content {
     /// 16-bit grey: width and height.
@@ -35,7 +35,7 @@ impl Content {
         Ok(Self::Depth(width, height))
     }
 
-    /// What it is, in words.
+    /// Describes the kind of image for errors.
     pub(super) fn name(self) -> String {
         let (bits, color) = match self {
             Self::Depth(..) => (BitDepth::Sixteen, ColorType::Grayscale),
@@ -49,7 +49,7 @@ impl Content {
         format!("{}-bit {color} PNG", bits as u8)
     }
 
-    /// The size of a depth image.
+    /// Returns width and height of a depth image.
     ///
     /// # Errors
     /// The PNG is no depth image.
@@ -65,7 +65,7 @@ impl Content {
     }
 }
 
-/// Looks at the header of a PNG file.
+/// Reads the header of a PNG file.
 ///
 /// # Errors
 /// The file cannot be read or is no PNG.
@@ -76,7 +76,7 @@ pub(super) fn probe(path: &Path) -> Result<Content> {
     Content::of(info)
 }
 
-/// Decodes a PNG file of `width` times `height` pixels, unchanged but for the byte order.
+/// Decodes a PNG file of `width` x `height` pixels; only the byte order changes.
 ///
 /// # Errors
 /// The file is no depth image of that size, or damaged.

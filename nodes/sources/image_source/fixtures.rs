@@ -128,7 +128,7 @@ fn raw(index: usize, point: &[f32; 3], &(name, kind, size, count): &(&str, char,
     bytes.repeat(count)
 }
 
-/// LZF compression, greedy: the last place of every three bytes is remembered.
+/// Compresses by LZF, greedily; remembers the last position of every three bytes.
 pub(super) fn lzf_compress(data: &[u8]) -> Vec<u8> {
     let (mut packed, mut seen) = (Vec::new(), BTreeMap::<&[u8], usize>::new());
     let (mut at, mut literals_from) = (0, 0);

@@ -10,30 +10,30 @@ use serde_json::Value as Json;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// The files that are looked for, in the folder of the frames and in the one above.
+/// Names of the files that are searched for, in the folder of the frames and then in its parent.
 const NAMES: [&str; 3] = ["camera.json", "camera_intrinsics.json", "camera_intrinsic.json"];
 
 const MAX_JSON_BYTES: u64 = 1 << 20;
 
-/// What a JSON file should be like.
+/// Hint of the errors: the expected format of a JSON file.
 const HINT: &str = "write `{\"width\": 640, \"height\": 480, \"fx\": .., \"fy\": .., \"cx\": .., \"cy\": ..}` with your camera's \
                     numbers, or give `intrinsics` in the pipeline file, to `conicflow detect` `--camera`";
 
-/// What a JSON file beside the frames tells.
+/// The content of a JSON file beside the frames.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct CameraFile {
     pub(super) path: PathBuf,
     pub(super) intrinsics: Intrinsics,
-    /// Width and height of the images that they hold for.
+    /// Width and height of the images for which the intrinsics hold.
     pub(super) size: Option<(u32, u32)>,
     pub(super) depth_scale: Option<f64>,
 }
 
 impl CameraFile {
-    /// Looks for a file beside the frames.
+    /// Searches for a file beside the frames.
     ///
     /// # Errors
-    /// There is one, but it cannot be used.
+    /// The file cannot be used.
     pub(super) fn find(folder: &Path) -> Result<Option<Self>> {
         let Some(path) = Self::path_beside(folder) else { return Ok(None) };
         let read = Self::read(&path).map_err(|error| hinted(error, HINT));
@@ -44,7 +44,7 @@ impl CameraFile {
         Ok(Some(found))
     }
 
-    /// The name of a file in the same folder that tells of another camera, or cannot be read.
+    /// The name of a file in the same folder that describes another camera, or cannot be read.
     fn another_beside(&self) -> Option<&'static str> {
         let is_another = |name: &&str| {
             let other = self.path.with_file_name(name);
@@ -55,11 +55,11 @@ impl CameraFile {
         NAMES.into_iter().find(is_another)
     }
 
-    /// Where there is one.
+    /// Returns the path of the first file that exists.
     pub(super) fn path_beside(folder: &Path) -> Option<PathBuf> {
         let folders = [Some(folder), folder.parent()];
         let mut candidates = folders.into_iter().flatten().flat_map(|folder| NAMES.map(|name| folder.join(name)));
-        // One that cannot be read is found, too: another one may be of another camera.
+        // A file that cannot be read counts, too: the next one may be of another camera.
         candidates.find(|path| path.symlink_metadata().is_ok())
     }
 
@@ -100,7 +100,7 @@ impl CameraFile {
     }
 }
 
-/// Both layouts in one; keys that we do not know are passed over, since others write these files too.
+/// The keys of both formats; unknown keys are ignored, since other programs write these files, too.
 #[derive(Deserialize)]
 struct CameraJson {
     width: Option<u32>,
@@ -117,13 +117,13 @@ struct CameraJson {
     others: BTreeMap<String, Json>,
 }
 
-/// The keys that are read.
+/// The keys that are read, for comparison with similar ones.
 const KEYS: [&str; 8] = ["width", "height", "fx", "fy", "cx", "cy", "depth_scale", "intrinsic_matrix"];
-/// Keys that stand for a lens's distortion in what others write, beside those that say so.
+/// Keys with which other programs describe lens distortion, beside those that contain the word.
 const DISTORTION: [&str; 12] = ["d", "coeffs", "dist", "distcoeffs", "k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"];
 
 impl CameraJson {
-    /// Refuses what would change the camera, were it read: a key that is written in another way, and the distortion of a lens.
+    /// Refuses keys that would change the camera if they were read: other spellings of known keys, and lens distortion.
     fn check_others(&self) -> Result<()> {
         let plain = |key: &str| key.chars().filter(char::is_ascii_alphanumeric).collect::<String>().to_lowercase();
         for (key, value) in &self.others {
@@ -155,7 +155,7 @@ impl CameraJson {
     }
 }
 
-/// Whether a value is a number other than 0, or holds one.
+/// Whether a value is, or contains, a number other than 0.
 fn is_any_number(value: &Json) -> bool {
     match value {
         Json::Number(number) => number.as_f64() != Some(0.0),
@@ -178,7 +178,7 @@ fn from_matrix(matrix: &[f64]) -> Result<Intrinsics> {
     Ok(Intrinsics { fx, fy, cx, cy })
 }
 
-/// The error for frames without intrinsics, with the line to write.
+/// Returns the error for frames without intrinsics, with the line to write.
 pub(super) fn missing(folder: &Path, (width, height): (u32, u32), written_in: WrittenIn) -> anyhow::Error {
     let (cx, cy) = (f64::from(width.saturating_sub(1)) / 2.0, f64::from(height.saturating_sub(1)) / 2.0);
     let focal = 525.0 * f64::from(width) / 640.0;

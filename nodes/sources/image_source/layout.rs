@@ -1,8 +1,7 @@
-//! Which files of a path are depth frames, and in which order: single files, folders of PNG, TIFF, NPY or PCD, TUM
-//! RGB-D folders.
+//! Finds the depth frames of a path and their order: single files, folders of PNG, TIFF, NPY or PCD, TUM RGB-D folders.
 //!
-//! Every file's header is looked at before the first frame is sent, so that what is no depth frame is passed over, what
-//! is unreadable is known, and the number of frames and their size are certain.
+//! The header of every file is read before the first frame is sent. So other files are skipped, unreadable ones are known, and
+//! the number of frames and their size are certain.
 
 use super::faulty::hinted;
 use super::{depth_png, pcd, raster, tum};
@@ -15,7 +14,7 @@ use std::path::{Path, PathBuf};
 
 const PCD_HEADER_BYTES: u64 = 64 * 1024;
 
-/// How the frames are stored.
+/// The file format of the frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Format {
     /// 16-bit grey PNG.
@@ -29,7 +28,7 @@ pub(super) enum Format {
 }
 
 impl Format {
-    /// Several such files, in words.
+    /// Names several files of this format for errors.
     fn files(self) -> &'static str {
         match self {
             Self::Png => "16-bit PNGs",
@@ -39,7 +38,7 @@ impl Format {
         }
     }
 
-    /// What to do about a file that cannot be read.
+    /// Hint of the errors about unreadable files.
     pub(super) fn hint(self) -> &'static str {
         match self {
             Self::Png => depth_png::HINT,
@@ -49,12 +48,12 @@ impl Format {
         }
     }
 
-    /// Metres per unit by custom, of whole numbers; of points metres.
+    /// Usual metres per unit of whole numbers; points are in metres.
     fn depth_scale(self) -> f64 {
         if self == Self::Pcd { 1.0 } else { 0.001 }
     }
 
-    /// Width and height of a frame, by the header of its file.
+    /// Reads width and height of a frame from the header of its file.
     fn size(self, path: &Path) -> Result<(u32, u32)> {
         let size = match self {
             Self::Png => depth_png::probe(path).and_then(depth_png::Content::depth_size),
@@ -70,8 +69,8 @@ impl Format {
     }
 }
 
-/// Told of files that are looked at: how many were by now, and of how many as far as is known. A folder may have so many that it
-/// takes minutes, and a second to list them.
+/// Callback for progress: the number of files seen, and of all files as far as that is known. A folder may have so many files
+/// that reading their headers takes minutes, and listing them a second.
 pub(super) type Progress<'a> = dyn FnMut(usize, usize) + 'a;
 
 /// One depth frame.
@@ -80,9 +79,9 @@ pub(super) struct FrameFile {
     pub(super) path: PathBuf,
     /// Width and height.
     pub(super) size: (u32, u32),
-    /// Its place in the recording, counting the unreadable ones.
+    /// Position in the recording, counting unreadable frames.
     pub(super) slot: u64,
-    /// Time of capture, where the recording tells.
+    /// Time of capture, if the recording has it.
     pub(super) stamp_ns: Option<u64>,
 }
 
@@ -90,21 +89,21 @@ pub(super) struct FrameFile {
 #[derive(Debug)]
 pub(super) struct Layout {
     pub(super) format: Format,
-    /// Where the frames lie.
+    /// The folder of the frames.
     pub(super) folder: PathBuf,
-    /// Metres per unit as this layout has it by custom.
+    /// Usual metres per unit of this layout.
     pub(super) depth_scale: f64,
     /// In the order in which they are sent; at least one.
     pub(super) frames: Vec<FrameFile>,
-    /// Places of the other frames, and why they cannot be read.
+    /// Positions of the unreadable frames, and their errors.
     pub(super) unreadable: Vec<(u64, Error)>,
 }
 
 impl Layout {
-    /// Finds the frames of `path`, a file or a folder; tells `progress` how far it is.
+    /// Finds the frames of `path`, a file or a folder; reports its progress.
     ///
     /// # Errors
-    /// There is nothing there, or no frame that can be read.
+    /// There is nothing at `path`, or no readable frame.
     pub(super) fn discover(path: &Path, progress: &mut Progress<'_>) -> Result<Self> {
         let path = fs::canonicalize(path).map_err(|error| {
             let what = format!("`{}` cannot be opened: {error}", path.display());
@@ -139,8 +138,8 @@ impl Layout {
     }
 }
 
-/// Width and height of a frame of `path`, without a look at more of the files than it takes to find one; those of all are the same,
-/// or the recording is refused.
+/// Returns width and height of a frame of `path`, reading no more files than needed. All frames have the same size, or else the
+/// recording is refused.
 pub(super) fn first_size(path: &Path) -> Option<(u32, u32)> {
     let size = |path: &PathBuf| format_of(path)?.size(path).ok();
     if path.is_file() && path.file_name().is_none_or(|name| name != tum::LIST) {
@@ -154,14 +153,14 @@ pub(super) fn first_size(path: &Path) -> Option<(u32, u32)> {
     }
     let in_folder = |folder: &Path| {
         let mut files = sorted_files(folder, "", &mut |_, _| ()).ok()?;
-        // As in a listing: where some names say `depth`, the others are no depth frames.
+        // As in a listing: if some names contain `depth`, the other files are no depth frames.
         files.sort_by_key(|path| !file_name(path).to_lowercase().contains("depth"));
         files.iter().find_map(size)
     };
     in_folder(folder).or_else(|| in_folder(&folder.join("depth")))
 }
 
-/// A file that should be a depth frame, and what its header says.
+/// A file that should be a depth frame, and the content of its header.
 struct Candidate {
     path: PathBuf,
     size: Result<(u32, u32)>,
@@ -230,14 +229,14 @@ fn format_of(path: &Path) -> Option<Format> {
     }
 }
 
-/// What a file is whose ending is that of no depth frame.
+/// Names the kind of a file that has no ending of a depth frame, for errors.
 fn other_kind(path: &Path) -> String {
     let Some(ending) = path.extension() else { return "no ending".to_owned() };
     let is_jpeg = ["jpg", "jpeg"].iter().any(|jpeg| ending.eq_ignore_ascii_case(jpeg));
     if is_jpeg { "JPEG".to_owned() } else { format!("`.{}`", ending.to_string_lossy()) }
 }
 
-/// What is in a folder beside files: other folders, of which only `depth` is looked into, and links that lead nowhere.
+/// Describes the other entries of a folder: folders, of which only `depth` is searched, and links that lead nowhere.
 fn other_entries(folder: &Path) -> String {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
     let (there, lost): (Vec<_>, Vec<_>) = entries.partition(|path| path.exists());
@@ -253,11 +252,11 @@ fn other_entries(folder: &Path) -> String {
     text
 }
 
-/// The files of a folder, sorted by what they hold.
+/// The files of a folder, sorted by format.
 struct Listing {
     folder: PathBuf,
     frames: BTreeMap<Format, Vec<Candidate>>,
-    /// Images and files that are no depth frames: how many, by what they are.
+    /// Number of other images and files, by kind.
     others: BTreeMap<String, usize>,
 }
 
@@ -300,7 +299,7 @@ impl Listing {
         *self.others.entry(what).or_default() += 1;
     }
 
-    /// That there are no depth frames, and what there is instead.
+    /// Returns the error text for a folder without depth frames, with the kinds of its files.
     fn without_frames(&self) -> String {
         let folder = self.folder.display();
         let kinds: Vec<_> = self.others.iter().map(|(what, count)| format!("{count} of {what}")).collect();
@@ -311,7 +310,7 @@ impl Listing {
         format!("{what}{}", other_entries(&self.folder))
     }
 
-    /// Where some names say `depth`, the others are infrared images, labels or the like.
+    /// If some names contain `depth`, drops the other images: they are infrared images, labels or the like.
     fn keep_those_called_depth(&mut self) {
         let called_depth = |frame: &Candidate| file_name(&frame.path).to_lowercase().contains("depth");
         for (_, frames) in self.frames.iter_mut().filter(|(format, _)| **format != Format::Pcd) {
@@ -344,9 +343,9 @@ impl Listing {
     }
 }
 
-/// The files that are not hidden and whose names end so, in natural order of their names.
+/// Returns the files with this ending that are not hidden, in natural order of their names.
 pub(super) fn sorted_files(folder: &Path, ending: &str, progress: &mut Progress<'_>) -> std::io::Result<Vec<PathBuf>> {
-    /// Names that are listed, or compared, without a word.
+    /// Number of names that are listed, or compared, between two reports of progress.
     const AT_ONCE: usize = 1024;
     let mut names = Vec::new();
     for (listed, entry) in (1..).zip(fs::read_dir(folder)?) {
@@ -356,7 +355,7 @@ pub(super) fn sorted_files(folder: &Path, ending: &str, progress: &mut Progress<
         let entry = entry?;
         let (name, kind) = (entry.file_name(), entry.file_type()?);
         let text = name.to_string_lossy();
-        // A link is what it leads to; one that leads nowhere, and is called as a frame, is one that cannot be read.
+        // A link counts as its target. A broken link with the name of a frame counts as an unreadable frame.
         let leads_to_file = |path: &Path| path.metadata().map_or_else(|_| format_of(path).is_some(), |to| to.is_file());
         let is_wanted = || kind.is_file() || (kind.is_symlink() && leads_to_file(&entry.path()));
         if !text.starts_with('.') && text.ends_with(ending) && is_wanted() {
@@ -364,7 +363,7 @@ pub(super) fn sorted_files(folder: &Path, ending: &str, progress: &mut Progress<
         }
     }
     let (count, mut compared) = (names.len(), 0);
-    // Names alone: what paths have in common takes longer to compare than they do.
+    // Sorts names rather than paths, whose common prefix would take longest to compare.
     names.sort_unstable_by(|one, other| {
         compared += 1;
         if compared % AT_ONCE == 0 {

@@ -1,9 +1,9 @@
 //! Plays back recorded depth frames: folders of 16-bit PNGs, TIFF or NPY files, TUM RGB-D folders, organised PCD
 //! files.
 //!
-//! A frame that cannot be read is reported, counted as `frames unreadable` and passed over; its place in time is kept.
-//! It is an error when none can be read, when frames are of different sizes, and at the end when some that could be read at the
-//! beginning could not be any more.
+//! A frame that cannot be read is logged, counted as `frames unreadable` and skipped; its place in time is kept. It is an error
+//! if no frame can be read, if frames differ in size, and at the end if frames that were readable at the beginning no longer were
+//! when their turn came.
 
 mod config;
 mod depth_png;
@@ -35,7 +35,7 @@ use playback::UNREADABLE;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-/// How often it is told how far the look at the files of a recording is.
+/// Period of the log lines about progress with the files of a recording.
 const TELL: Duration = Duration::from_secs(5);
 
 /// Sends the frames of a recording.
@@ -60,7 +60,7 @@ impl Source for ImageSource {
         let counted = context.counted.get(UNREADABLE).copied().unwrap_or(0);
         let mut told = Instant::now();
         let mut progress = |seen: usize, all: usize| {
-            // Asking is the sign of life.
+            // The call shows the launcher that the stage is alive.
             context.stop.requested();
             if told.elapsed() > TELL {
                 told = Instant::now();
@@ -72,7 +72,7 @@ impl Source for ImageSource {
     }
 
     fn message_length(config: &Config, base: &Path) -> Option<usize> {
-        // What cannot be opened is told when the stage starts.
+        // A recording that cannot be opened is reported when the stage starts.
         Recording::pixels_of(&base.join(config.path.as_ref()?))
     }
 

@@ -1,6 +1,6 @@
-//! The format of NumPy's arrays (NPY): a header that is written like a Python dictionary, and the numbers behind it.
+//! NPY, the format of NumPy's arrays: a header that is written like a Python dictionary, followed by the numbers.
 //!
-//! It is read here because a header may claim any shape, which the crates for it multiply without a look.
+//! It has its own reader because a header may claim any shape, and the crates for it multiply the lengths unchecked.
 //!
 //! Source: NumPy's `numpy/lib/format.py`, versions 1 to 3.
 
@@ -8,17 +8,17 @@ use anyhow::{Context as _, Result, ensure};
 use std::io::Read;
 
 const MAGIC: &[u8] = b"\x93NUMPY";
-/// More than a header of rows and columns has; NumPy itself takes no more than 10,000 without being told to.
+/// Longest header; NumPy itself refuses longer ones by default.
 const MOST_BYTES: u64 = 10_000;
 
-/// What an array is.
+/// The description of an array.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Array {
-    /// Its numbers, such as `<u2`.
+    /// Type of its numbers, such as `<u2`.
     pub(super) number: String,
-    /// Whether it lies column by column.
+    /// Whether it is stored column by column.
     pub(super) is_by_columns: bool,
-    /// How many numbers there are along each of its axes.
+    /// Length of each axis.
     pub(super) shape: Vec<u64>,
 }
 
@@ -26,7 +26,7 @@ impl Array {
     /// Reads the header, up to the first number.
     ///
     /// # Errors
-    /// It is none.
+    /// There is no header of an array of numbers.
     pub(super) fn read(file: &mut impl Read) -> Result<Self> {
         let mut begin = [0; 8];
         file.read_exact(&mut begin)?;
@@ -47,7 +47,7 @@ impl Array {
         Self::of(&text).with_context(|| format!("it is `{}`", text.trim_end()))
     }
 
-    /// What the text of a header says, if that is the header of an array of numbers.
+    /// Parses the text of a header, if it describes an array of numbers.
     fn of(text: &str) -> Option<Self> {
         let value = |key: &str| Some(text.split_once(&format!("'{key}':"))?.1.trim_start());
         let (number, _) = value("descr")?.strip_prefix('\'')?.split_once('\'')?;
@@ -59,7 +59,7 @@ impl Array {
         (is_by_columns || order.starts_with("False")).then(|| Self { number: number.to_owned(), is_by_columns, shape })
     }
 
-    /// All numbers behind the header, each of `N` bytes in the order that the header says; bytes that make no whole number are
+    /// Returns all numbers after the header, each of `N` bytes in the byte order of the header; incomplete ones at the end are
     /// left out.
     pub(super) fn numbers<T, const N: usize>(&self, bytes: &[u8], of: fn([u8; N]) -> T) -> Vec<T> {
         let is_big_endian =

@@ -1,36 +1,36 @@
-//! The camera behind an organised cloud, fitted from its points.
+//! Fits the camera of an organised cloud to its points.
 //!
-//! In a cloud that a pinhole camera saw, the point of pixel (u, v) fulfils `u = fx x/z + cx`, `v = fy y/z + cy`: two
-//! straight lines, fitted by least squares over all points, once more without those that lie far off. The signs tell how
-//! the axes lie: z may point backward, x to the left, y upward; a depth image needs to know z only.
+//! In a cloud from a pinhole camera, the point of pixel (u, v) satisfies `u = fx x/z + cx`, `v = fy y/z + cy`: two straight
+//! lines, fitted by least squares over all points, and once more without outliers. The signs give the directions of the axes: z
+//! may point backward, x to the left, y upward. Only z goes into the depth image.
 
 use anyhow::{Result, bail, ensure};
 use conicflow_geometry::{Fit, Regression};
 use conicflow_messages::{Camera, Hinted};
 
-/// The largest root mean square residual of a cloud that passes as a pinhole image, in pixels.
+/// Largest root mean square residual of a cloud that is accepted as a pinhole image, in pixels.
 pub(super) const MAX_RESIDUAL_PX: f64 = 0.5;
-/// The residual above which the cloud is used, but with a warning, in pixels; exact clouds stay below 0.01.
+/// Residual above which a cloud is accepted with a warning, in pixels; exact clouds stay below 0.01.
 pub(super) const FAIR_RESIDUAL_PX: f64 = 0.1;
 
 const MIN_POINTS: f64 = 100.0;
 const MIN_INLIER_SHARE: f64 = 0.9;
 
-/// The camera of a cloud, and how its axes lie.
+/// The camera of a cloud, and the directions of its axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Pinhole {
     /// Size and intrinsics; focal lengths are positive.
     pub(super) camera: Camera,
-    /// Of x, y and z: whether the axis points left, up and backward, against the optical frame.
+    /// For x, y and z: whether the axis points left, up and backward, opposite to the optical frame.
     pub(super) flipped: [bool; 3],
-    /// Root mean square distance of the pixels from the fit.
+    /// Root mean square distance of the pixels from the fit, in pixels.
     pub(super) residual_px: f64,
 }
 
 /// Fits the camera to the points of a cloud, row by row.
 ///
 /// # Errors
-/// Too few points; points that no pinhole camera saw in these pixels.
+/// There are too few points, or they do not fit a pinhole camera.
 pub(super) fn fit(width: u32, height: u32, points: impl Iterator<Item = [f32; 3]> + Clone) -> Result<Pinhole> {
     let backward = looks_backward(points.clone().map(|[_, _, z]| z));
     let sign = if backward { -1.0 } else { 1.0 };
@@ -52,7 +52,7 @@ pub(super) fn looks_backward(depths: impl Iterator<Item = f32>) -> bool {
     behind > before
 }
 
-/// The line `pixel = slope ratio + offset`; `None` where the ratios or the pixels do not spread.
+/// Fits the line `pixel = slope ratio + offset`; `None` if the ratios or the pixels do not spread.
 fn line(sums: &Regression) -> Option<Fit> {
     sums.fit().filter(|fit| fit.slope.is_normal() && sums.deviation() > 0.3 && sums.spread() > 1e-6)
 }

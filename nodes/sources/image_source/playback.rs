@@ -1,4 +1,4 @@
-//! The frames of a recording one by one, with what is said of them once: unreadable ones are passed over and counted.
+//! Plays the frames of a recording one by one; skips, counts and logs unreadable ones.
 
 use super::config::{Config, USUAL_RATE_HZ};
 use super::poses::Poses;
@@ -9,7 +9,8 @@ use conicflow_messages::{Camera, HAS_POSE, Header, Hinted, NoiseModel, RECORDED,
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// A principal point farther from the middle, as a share of the image's size, speaks for intrinsics of other images.
+/// Largest distance of the principal point from the middle, as a share of the image's size; beyond it, the intrinsics are
+/// probably those of other images.
 const MAX_OFF_CENTER: f64 = 0.25;
 
 pub(super) const UNREADABLE: &str = "frames unreadable";
@@ -23,36 +24,36 @@ pub struct Playback {
     noise: NoiseModel,
     rate_hz: f64,
     repeat: bool,
-    /// Frames sent or passed over, over all rounds.
+    /// Frames sent or skipped, over all rounds.
     pub(super) position: u64,
     /// Frames that were read and sent, over all rounds.
     sent: u64,
-    /// Frames passed over since the last one that could be read.
+    /// Frames skipped since the last readable one.
     misses: usize,
-    /// Frames that could be read when the recording was opened, and not when their turn came: how many, and why the first.
+    /// Frames that were readable when the recording was opened, but not when their turn came: their number, and the first error.
     lost: Option<(u64, String)>,
-    /// What has been counted since it was asked for last.
+    /// Counts since the last call of `take_counts`.
     counts: BTreeMap<&'static str, u64>,
     described: bool,
     empty: EmptyFrames,
-    /// Whether somebody has told the intrinsics, which else are fitted to points.
+    /// Whether the intrinsics are given; else they are fitted to the points.
     tells_camera: bool,
 }
 
 impl Playback {
-    /// Opens the recording that `config` names, relative to `base`, at frame `resume_at`; of the unreadable ones `counted` have
-    /// been counted already.
+    /// Opens the recording that `config` names, relative to `base`, at frame `resume_at`; `counted` unreadable frames have been
+    /// counted already.
     ///
     /// # Errors
-    /// There is none, or its camera is not known.
+    /// There is no recording, or its camera is not known.
     pub fn open(config: &Config, base: &Path, resume_at: u64, counted: u64) -> Result<Self> {
         Self::open_with_progress(config, base, (resume_at, counted), &mut |_, _| ())
     }
 
-    /// The same, which tells `progress` how many files it has looked at, and of how many.
+    /// Does the same as [`Playback::open`], and reports to `progress` the number of files seen and of all files.
     ///
     /// # Errors
-    /// Those of [`Playback::open`].
+    /// As for [`Playback::open`].
     pub fn open_with_progress(
         config: &Config,
         base: &Path,
@@ -66,7 +67,7 @@ impl Playback {
         for error in recording.unreadable() {
             tracing::warn!("passed over: {error:#}");
         }
-        // Of what was counted before a restart, the rest are frames that were passed over between those sent.
+        // Beyond those known as unreadable, the frames counted before a restart are ones that were skipped between those sent.
         let unreadable = recording.unreadable().len() as u64;
         Ok(Self {
             clock: Clock::new(&recording, config.rate_hz),
@@ -86,7 +87,7 @@ impl Playback {
         })
     }
 
-    /// Reads the file of the next frame that can be read; none: there is none left.
+    /// Reads the file of the next readable frame; `None` at the end.
     ///
     /// # Errors
     /// None of the frames can be read.
@@ -100,7 +101,7 @@ impl Playback {
         Ok(None)
     }
 
-    /// Writes the depths of the frame that was loaded last; what its message's header tells, or none where the file is damaged.
+    /// Writes the depths of the last loaded frame and returns the header of its message; `None` if the file is damaged.
     ///
     /// # Errors
     /// None of the frames can be read.
@@ -127,7 +128,7 @@ impl Playback {
     /// Ends the playback.
     ///
     /// # Errors
-    /// Frames that could be read when it was opened could not be when their turn came: the recording was removed, or changed.
+    /// Some frames were readable when the recording was opened, but not when their turn came: it was removed or changed.
     pub fn finish(&self) -> Result<()> {
         let Some((lost, why)) = &self.lost else { return Ok(()) };
         let (all, sent) = (self.recording.len(), self.sent);
@@ -136,22 +137,22 @@ impl Playback {
         Err(Hinted::lasting(what, "leave a recording as it is while it is played, and its disk in its place").into())
     }
 
-    /// What was counted since this was asked last.
+    /// Returns the counts since the last call.
     pub fn take_counts(&mut self) -> impl Iterator<Item = (&'static str, u64)> + use<> {
         std::mem::take(&mut self.counts).into_iter()
     }
 
-    /// Frames per second that it is to be kept to; 0: as fast as they are taken.
+    /// Frames per second to send; 0: as fast as the pipeline takes them.
     pub fn rate_hz(&self) -> f64 {
         self.rate_hz
     }
 
-    /// Number of frames in all, where there is an end.
+    /// Number of all frames; `None` for a loop.
     pub fn total(&self) -> Option<u64> {
         (!self.repeat).then_some(self.recording.len() as u64)
     }
 
-    /// Round and index of the next frame, if there is one.
+    /// Returns round and index of the next frame, if there is one.
     pub(super) fn advance(&mut self) -> Option<(u64, usize)> {
         let count = self.recording.len() as u64;
         let (round, index) = (self.position / count, self.position % count);
@@ -175,14 +176,14 @@ impl Playback {
             let none = format!("none of the {} frames can be read; the last: {what}", self.misses);
             return Err(Hinted::lasting(none, hint).into());
         }
-        // Once is enough for a file that a loop meets in every round.
+        // In a loop, a file is logged in the first round only.
         if self.position <= self.recording.len() as u64 {
             tracing::warn!("passed over: {error:#}");
         }
         Ok(())
     }
 
-    /// Says once what the frames are like, so that a wrong scale is seen.
+    /// Logs once the resolution and depths of the frames, so that a wrong scale is seen.
     fn describe(&mut self, frame: &Frame, pixels: &[u16]) {
         if self.described {
             return;
@@ -216,26 +217,26 @@ impl Playback {
     }
 }
 
-/// A frame whose file was read.
+/// A frame whose file was loaded.
 pub struct Loaded {
     frame: Frame,
     round: u64,
 }
 
 impl Loaded {
-    /// Number of its pixels.
+    /// Number of pixels.
     pub fn pixels(&self) -> usize {
         self.frame.camera.width as usize * self.frame.camera.height as usize
     }
 }
 
-/// Gives every frame its time of capture.
+/// Computes the time of capture of each frame.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Clock {
     rate_hz: f64,
-    /// Places in one round.
+    /// Number of positions in one round.
     slots: u64,
-    /// How long one round of recorded time stamps takes.
+    /// Duration of one round by its recorded time stamps.
     round_ns: u64,
 }
 

@@ -1,8 +1,8 @@
-//! Where the camera was in each frame of a recording: which file tells it, and which of its poses belongs to a frame.
+//! Finds the camera's pose in each frame of a recording: which file has the poses, and which pose belongs to which frame.
 //!
 //! A pose belongs to a frame by its name (7-Scenes: `frame-000012.pose.txt` to `frame-000012.depth.png`), by its time (TUM), or
-//! by its place in the order of the files (Open3D). Between two times a pose is interpolated: its place along a line, its
-//! rotation about one axis (Shoemake, "Animating rotation with quaternion curves", 1985).
+//! by its position in the order of the files (Open3D). Between two times the position is interpolated linearly, and the rotation
+//! about one axis (Shoemake, "Animating rotation with quaternion curves", 1985).
 
 use super::config::PosesConfig;
 use super::faulty::hinted;
@@ -18,35 +18,35 @@ use std::fs::File;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
-/// A pose of another time, alone, belongs to a frame up to so much later or earlier, as in the tools of the TUM benchmark ...
+/// Largest difference in time between a frame and a single pose, as in the tools of the TUM benchmark ...
 const MAX_APART_NS: u64 = 20_000_000;
-/// ... and two are interpolated where no more lies between them: a hand moves a camera evenly over a tenth of a second.
+/// ... and between two poses that are interpolated: a hand moves a camera evenly over a tenth of a second.
 const MAX_GAP_NS: u64 = 100_000_000;
 
-/// What the files of 7-Scenes end in, and TUM's is called.
+/// Ending of 7-Scenes' files of poses, and name of TUM's.
 const OF_FRAME: &str = ".pose.txt";
 const OF_TIMES: &str = "groundtruth.txt";
 
 /// The poses of a recording.
 #[derive(Debug, Default)]
 pub(super) enum Poses {
-    /// Nobody knows any.
+    /// There are none.
     #[default]
     Unknown,
-    /// By the stem of the frame's name.
+    /// By the stem of the frame's name; `None` where the camera was lost.
     Named(BTreeMap<String, Known>),
-    /// By the frame's place in the recording.
+    /// By the frame's position in the recording.
     InOrder(Vec<Known>),
     /// By the frame's time, ascending.
     Timed(Vec<(u64, Isometry3<f64>)>),
 }
 
 impl Poses {
-    /// The poses that a pipeline file in `base` asks for; tells `progress` how many files it has looked at. Files that lie beside
-    /// the frames and are not of them are left alone.
+    /// Finds the poses that a pipeline file in `base` asks for; reports to `progress` the number of files seen. Files beside the
+    /// frames that do not go with them are ignored.
     ///
     /// # Errors
-    /// A file cannot be read; one that was asked for does not go with the frames.
+    /// A file cannot be read, or one that was asked for does not go with the frames.
     pub(super) fn find(
         config: &PosesConfig,
         base: &Path,
@@ -79,7 +79,7 @@ impl Poses {
         })
     }
 
-    /// A file for each frame: `*.pose.txt`, or any `*.txt` where there is none of these.
+    /// Reads a folder with a file for each frame: `*.pose.txt`, or if there is none, any `*.txt`.
     fn of_folder(folder: &Path, progress: &mut Progress<'_>) -> Result<Self> {
         let paths = paths_in(folder, progress)?;
         ensure!(!paths.is_empty(), "it has no `*{OF_FRAME}`, nor any `*.txt`");
@@ -95,7 +95,7 @@ impl Poses {
         Ok(Self::Named((1..).zip(&paths).map(pose).collect::<Result<_>>()?))
     }
 
-    /// Refuses poses that do not go with the frames.
+    /// Refuses poses that do not go with the frames by number, name or time.
     fn check(&self, recording: &Recording) -> Result<()> {
         let first = recording.frames().next().map(|frame| file_name(&frame.path)).unwrap_or_default();
         match self {
@@ -132,7 +132,7 @@ impl Poses {
         !matches!(self, Self::Unknown)
     }
 
-    /// `world_from_camera` of a frame, `[R | t]`, if it is known.
+    /// Returns `world_from_camera` of a frame as `[R | t]`, if it is known.
     pub(super) fn of_frame(&self, frame: &Frame) -> Option<[[f64; 4]; 3]> {
         let matrix = self.of(&frame.name, frame.place, frame.stamp_ns)?.to_homogeneous();
         Some(std::array::from_fn(|row| std::array::from_fn(|column| matrix[(row, column)])))
@@ -148,7 +148,7 @@ impl Poses {
     }
 }
 
-/// The pose at a time: interpolated between its neighbours, else that of the nearest.
+/// Returns the pose at a time: interpolated between its neighbours, or else the nearest one within [`MAX_APART_NS`].
 fn at_time(poses: &[(u64, Isometry3<f64>)], stamp_ns: u64) -> Known {
     let next = poses.partition_point(|(known, _)| *known < stamp_ns);
     let (before, after) = (next.checked_sub(1).and_then(|index| poses.get(index)), poses.get(next));
@@ -164,15 +164,15 @@ fn at_time(poses: &[(u64, Isometry3<f64>)], stamp_ns: u64) -> Known {
     nearest.filter(|(apart_ns, _)| *apart_ns <= MAX_APART_NS).map(|(_, pose)| pose)
 }
 
-/// What a frame and its pose have in common: the name up to its first dot, without the word for depth.
+/// Returns what the names of a frame and its pose have in common: everything before the first dot, without the word for depth.
 fn stem(name: &str) -> &str {
     let stem = name.split('.').next().unwrap_or(name);
     ["-depth", "_depth"].iter().find_map(|word| stem.strip_suffix(word)).unwrap_or(stem)
 }
 
-/// The files of poses at a path: one, or those of a folder.
+/// Returns the files of poses at a path: the file itself, or those of a folder.
 pub(super) fn paths(place: &Path) -> Vec<PathBuf> {
-    // Of a folder that may not be listed it is told when it is read.
+    // A folder that cannot be listed is reported when it is read.
     if place.is_dir() { paths_in(place, &mut |_, _| ()).unwrap_or_default() } else { vec![place.to_owned()] }
 }
 
@@ -181,7 +181,7 @@ fn paths_in(folder: &Path, progress: &mut Progress<'_>) -> Result<Vec<PathBuf>> 
     if of_frames.is_empty() { files(folder, ".txt", progress) } else { Ok(of_frames) }
 }
 
-/// The file or folder of poses that a pipeline file in `base` asks for, if there is one.
+/// Returns the file or folder of poses that a pipeline file in `base` asks for, if there is one.
 pub(super) fn place(
     config: &PosesConfig,
     base: &Path,
@@ -195,10 +195,10 @@ pub(super) fn place(
     }
 }
 
-/// The file or folder of poses that lies beside the frames or above them, if there is one.
+/// Returns the file or folder of poses beside the frames or in the folder above, if there is one.
 fn beside(folder: &Path, progress: &mut Progress<'_>) -> Result<Option<PathBuf>> {
     for folder in [Some(folder), folder.parent()].into_iter().flatten() {
-        // of a folder that may not be listed nothing is known
+        // a folder that cannot be listed counts as empty
         let mut files = |ending| files(folder, ending, progress).unwrap_or_default();
         if !files(OF_FRAME).is_empty() {
             return Ok(Some(folder.to_owned()));
@@ -206,7 +206,7 @@ fn beside(folder: &Path, progress: &mut Progress<'_>) -> Result<Option<PathBuf>>
         if folder.join(OF_TIMES).is_file() {
             return Ok(Some(folder.join(OF_TIMES)));
         }
-        // others write logs, too
+        // other programs write `.log` files, too
         let mut logs = files(".log");
         logs.retain(|path| beginning(path).is_ok_and(|text| trajectory::begins_in_order(&text)));
         match &logs[..] {
@@ -225,7 +225,7 @@ fn beside(folder: &Path, progress: &mut Progress<'_>) -> Result<Option<PathBuf>>
     Ok(None)
 }
 
-/// The files of a folder whose names end so, in natural order.
+/// Returns the files of a folder with this ending, in natural order of their names.
 fn files(folder: &Path, ending: &str, progress: &mut Progress<'_>) -> Result<Vec<PathBuf>> {
     sorted_files(folder, ending, progress).with_context(|| format!("`{}` cannot be listed", folder.display()))
 }
@@ -234,7 +234,7 @@ fn text_of(path: &Path) -> Result<String> {
     Ok(read_text(path, tum::MAX_BYTES)?)
 }
 
-/// As much of a file as tells what it is.
+/// Reads the first bytes of a file, which are enough to recognise its format.
 fn beginning(path: &Path) -> Result<String> {
     const BYTES: u64 = 512;
     let mut bytes = Vec::new();

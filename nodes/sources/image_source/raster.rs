@@ -1,5 +1,5 @@
-//! Depth images as TIFF and NPY files: whole numbers of 16 bits, or floating-point numbers. Single images of one channel, without
-//! a camera in them.
+//! Depth images as TIFF and NPY files: single images of one channel, 16-bit whole numbers or floating point. They do not describe
+//! the camera.
 
 use super::npy::Array;
 use anyhow::{Context as _, Result, bail, ensure};
@@ -8,19 +8,19 @@ use std::io::Cursor;
 use tiff::ColorType;
 use tiff::decoder::{Decoder, DecodingResult};
 
-/// What to do about a TIFF that cannot be read.
+/// Hint of the errors about unreadable TIFFs.
 pub(super) const TIFF_HINT: &str = "depth images are TIFFs with one channel of 16-bit whole numbers or 32-bit floating point, \
                                     uncompressed or compressed by LZW, Deflate or PackBits; write this one anew";
-/// What to do about an NPY file that cannot be read.
+/// Hint of the errors about unreadable NPY files.
 pub(super) const NPY_HINT: &str = "depth images are arrays of rows and columns, of uint16 or float32; \
                                    `np.save(path, np.ascontiguousarray(depth, dtype=np.uint16))` writes one";
 
 /// The depths of an image, row by row.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Depths {
-    /// In units of some size.
+    /// In units of some length.
     Units(Vec<u16>),
-    /// In metres, or as many of them as the scale says; not a number where there is no measurement.
+    /// In metres, or in another unit if a scale is given; NaN where there is no measurement.
     Metres(Vec<f32>),
 }
 
@@ -33,7 +33,7 @@ impl Depths {
     }
 }
 
-/// Decodes a TIFF of this size.
+/// Decodes a TIFF; `size` is the expected width and height.
 ///
 /// # Errors
 /// It is damaged, of another size, or no depth image.
@@ -52,7 +52,7 @@ pub(super) fn decode_tiff(file: &[u8], size: (u32, u32)) -> Result<Depths> {
 /// Width and height of a TIFF that holds a depth image.
 ///
 /// # Errors
-/// It is no TIFF, or one of something else.
+/// The file is no TIFF, or its content is no depth image.
 pub(super) fn tiff_size<R: std::io::Read + std::io::Seek>(file: R) -> Result<(u32, u32)> {
     tiff_size_of(&mut open_tiff(file)?)
 }
@@ -73,7 +73,7 @@ fn tiff_size_of<R: std::io::Read + std::io::Seek>(decoder: &mut Decoder<R>) -> R
     few_enough(size)
 }
 
-/// Decodes an NPY file of this size.
+/// Decodes an NPY file; `size` is the expected width and height.
 ///
 /// # Errors
 /// It is damaged, of another size, or no depth image.
@@ -91,7 +91,7 @@ pub(super) fn decode_npy(mut file: &[u8], size: (u32, u32)) -> Result<Depths> {
 /// Width and height of an NPY file that holds a depth image.
 ///
 /// # Errors
-/// It is no NPY file, or one of something else.
+/// The file is no NPY file, or its content is no depth image.
 pub(super) fn npy_size(mut file: impl std::io::Read) -> Result<(u32, u32)> {
     npy_size_of(&npy_header(&mut file)?)
 }
@@ -143,7 +143,7 @@ mod tests {
 
     const SIZE: (u32, u32) = (CAMERA.width, CAMERA.height);
 
-    /// An NPY file of version 1.
+    /// Encodes an NPY file of version 1.
     fn npy(number: &str, order: &str, shape: &str, numbers: &[u8]) -> Vec<u8> {
         let header = format!("{{'descr': '{number}', 'fortran_order': {order}, 'shape': {shape}, }}");
         let length = (10 + header.len() + 1).next_multiple_of(64) - 10;

@@ -1,4 +1,4 @@
-//! Which files are read: the frames, and what tells of their camera and its poses.
+//! Lists the files that are read: the frames, and those with their camera and its poses.
 
 use super::config::Config;
 use super::intrinsics::CameraFile;
@@ -7,8 +7,8 @@ use super::{poses, tum};
 use conicflow_dataflow::FileUse;
 use std::path::Path;
 
-/// The files that are read as `config` says, named by parameters that are called `path` and `poses`. Why there are no frames is
-/// told when they are opened.
+/// Returns the files that are read according to `config`, for the parameters with the keys `path` and `poses`. Missing frames are
+/// reported when the recording is opened.
 pub(crate) fn files(config: &Config, base: &Path, path: &'static str, poses: &'static str) -> Vec<FileUse> {
     let layout = config.path.as_ref().and_then(|path| Layout::discover(&base.join(path), &mut |_, _| ()).ok());
     let Some(Layout { frames, folder, format, .. }) = layout else { return Vec::new() };

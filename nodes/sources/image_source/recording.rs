@@ -1,4 +1,4 @@
-//! A recording: the depth frames of a path with their camera, read one by one into memory that the caller has.
+//! A recording: the depth frames of a path with their camera, read one by one into the caller's memory.
 
 use super::config::Config;
 use super::depth_png;
@@ -19,13 +19,13 @@ use std::time::SystemTime;
 pub struct Recording {
     layout: Layout,
     size: (u32, u32),
-    /// Number of frames of the whole recording, readable or not, also of those that are not used.
+    /// Number of all frames of the recording, including unreadable ones and those that `first` and `frames` leave out.
     places: u64,
     camera: Option<Camera>,
     depth_scale: f64,
-    /// When its files were looked at.
+    /// When the files' headers were read; a file written later has changed.
     opened: SystemTime,
-    /// The file of the frame that was loaded last, and whether all of it was read.
+    /// The file of the last frame that was loaded, and whether it was read in full.
     file: Vec<u8>,
     is_read: bool,
     cloud: Cloud,
@@ -34,12 +34,12 @@ pub struct Recording {
     metres_per_number: f64,
     /// Depth units per unit of the cloud's z, with its sign, or of depths in floating point.
     units_per_z: f64,
-    /// Whether it was said that clouds are flipped, and that they are none of a pinhole camera.
+    /// Whether it was already logged that the clouds' axes are flipped, and that their residual from a pinhole camera is large.
     told_flipped: bool,
     told_residual: bool,
 }
 
-/// A frame whose file has been read, and whose pixels can be had.
+/// A frame whose file is loaded, and whose pixels can be decoded.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
     /// Size and intrinsics.
@@ -48,17 +48,17 @@ pub struct Frame {
     pub depth_scale: f64,
     /// Name of the file.
     pub name: String,
-    /// Its place in the recording from the first that is used, counting unreadable ones.
+    /// Position from the first frame in use, counting unreadable ones.
     pub slot: u64,
-    /// Its place in the whole recording, counting unreadable frames and those that are not used.
+    /// Position in the whole recording, counting unreadable frames and those that are not used.
     pub place: u64,
-    /// Time of capture, where the recording tells.
+    /// Time of capture, if the recording has it.
     pub stamp_ns: Option<u64>,
 }
 
 impl Recording {
-    /// Finds the frames of `path`, looks at the header of each, and finds their camera; what it does not tell, or tells wrongly,
-    /// says `config`.
+    /// Finds the frames of `path`, reads the header of each, and finds their camera; `config` completes or overrides what the
+    /// files say.
     ///
     /// # Errors
     /// No frame can be read, frames are of different sizes, or their camera is not known.
@@ -66,10 +66,10 @@ impl Recording {
         Self::open_with_progress(path, config, &mut |_, _| ())
     }
 
-    /// The same, which tells `progress` how many files it has looked at, and of how many.
+    /// Does the same as [`Recording::open`], and reports to `progress` the number of files seen and of all files.
     ///
     /// # Errors
-    /// Those of [`Recording::open`].
+    /// As for [`Recording::open`].
     pub fn open_with_progress(path: &Path, config: &Config, progress: &mut dyn FnMut(usize, usize)) -> Result<Self> {
         let opened = SystemTime::now();
         let mut layout = Layout::discover(path, progress)?;
@@ -106,7 +106,7 @@ impl Recording {
         })
     }
 
-    /// Whether somebody has told the camera, which else is fitted to points.
+    /// Whether the camera is given by parameters or a file; else it is fitted to the points.
     pub(super) fn tells_camera(&self) -> bool {
         self.camera.is_some()
     }
@@ -126,12 +126,12 @@ impl Recording {
         &self.layout.folder
     }
 
-    /// Number of frames of the whole recording, readable or not, also of those that are not used.
+    /// Number of all frames of the recording, including unreadable ones and those that are not used.
     pub(super) fn places(&self) -> u64 {
         self.places
     }
 
-    /// Number of pixels of each frame of `path`, where it has any; looks at no more files than it takes.
+    /// Number of pixels of each frame of `path`, if there is one; reads no more files than needed.
     pub fn pixels_of(path: &Path) -> Option<usize> {
         let (width, height) = layout::first_size(path)?;
         (width.max(height) <= MAX_SIDE_PX).then_some(width as usize * height as usize)
@@ -142,23 +142,23 @@ impl Recording {
         self.size.0 as usize * self.size.1 as usize
     }
 
-    /// Whether there is no frame; [`Recording::open`] refuses that.
+    /// Whether there are no frames; never true, as [`Recording::open`] refuses that.
     pub fn is_empty(&self) -> bool {
         self.layout.frames.is_empty()
     }
 
-    /// Why files that should be frames are not among them.
+    /// Errors of the frames that cannot be read.
     pub fn unreadable(&self) -> impl ExactSizeIterator<Item = &Error> {
         self.layout.unreadable.iter().map(|(_, error)| error)
     }
 
-    /// Times of capture of the first and the last frame, where the recording tells.
+    /// Times of capture of the first and the last frame, if the recording has them.
     pub fn stamps_ns(&self) -> Option<(u64, u64)> {
         let frames = &self.layout.frames;
         frames.first()?.stamp_ns.zip(frames.last()?.stamp_ns)
     }
 
-    /// How many places the recording has, counting unreadable frames between the first and the last.
+    /// Number of positions between the first and the last frame, counting unreadable ones.
     pub fn slots(&self) -> u64 {
         let slot = |frame: Option<&FrameFile>| frame.map_or(0, |frame| frame.slot);
         slot(self.layout.frames.last()) - slot(self.layout.frames.first()) + 1
@@ -167,15 +167,15 @@ impl Recording {
     /// Reads the file of a frame.
     ///
     /// # Errors
-    /// The file cannot be read, is damaged, or is a cloud that no pinhole camera saw.
+    /// The file cannot be read, is damaged, or is a cloud that does not fit a pinhole camera.
     pub fn load(&mut self, index: usize) -> Result<Frame> {
         let file = self.layout.frames.get(index).context("no such frame")?.clone();
         let loaded = self.load_file(&file).map_err(|error| hinted(error, self.layout.format.hint()));
         loaded.with_context(|| format!("`{}`", file.path.display()))
     }
 
-    /// Whether a frame that was loaded last, and cannot be used, was another one when the recording was opened: its file cannot be
-    /// read any more, or was written since.
+    /// Whether a frame that cannot be used was lost since the recording was opened: its file cannot be read any more, or was
+    /// written since.
     pub(super) fn is_lost(&self, index: usize) -> bool {
         let written =
             self.layout.frames.get(index).map(|file| fs::metadata(&file.path).and_then(|about| about.modified()));
@@ -196,7 +196,7 @@ impl Recording {
         Ok(Frame { camera, depth_scale, name, slot: file.slot - first, place: file.slot, stamp_ns: file.stamp_ns })
     }
 
-    /// Reads a TIFF or NPY file, and returns the metres per unit.
+    /// Decodes a TIFF or NPY file, and returns the metres per unit.
     fn load_raster(&mut self) -> Result<f64> {
         let decode = if self.layout.format == Format::Tiff { raster::decode_tiff } else { raster::decode_npy };
         self.raster = decode(&self.file, self.size)?;
@@ -224,7 +224,7 @@ impl Recording {
         Ok((camera, scale))
     }
 
-    /// Says once what is unusual in a cloud.
+    /// Logs once that a cloud has flipped axes, or a large residual.
     fn tell(&mut self, name: &str, pinhole: &Pinhole) {
         let axes = ["x points left", "y points up", "z points backward"];
         let flipped: Vec<_> =
@@ -241,8 +241,8 @@ impl Recording {
         }
     }
 
-    /// Writes the depth of the frame that was loaded last, row by row; what holds no measurement is 0 or 65535. Returns how many
-    /// points were left out as too far.
+    /// Writes the depths of the last loaded frame, row by row; 0 or 65535 means no measurement. Returns the number of points that
+    /// were left out as too far.
     ///
     /// # Errors
     /// The file is damaged.
@@ -261,7 +261,7 @@ impl Recording {
         }
     }
 
-    /// Writes depths in units, and returns how many were left out as too far.
+    /// Writes depths in units, and returns the number of those left out as too far.
     fn quantise(&self, depths: &[f32], pixels: &mut [u16]) -> u64 {
         for (pixel, &z) in pixels.iter_mut().zip(depths) {
             *pixel = quantise(z, self.units_per_z);
@@ -270,7 +270,7 @@ impl Recording {
     }
 }
 
-/// Drops the frames that are not asked for, readable or not.
+/// Drops the frames outside of `first` and `frames`, readable or not.
 fn select(layout: &mut Layout, config: &Config) -> Result<()> {
     let Config { first, frames, .. } = *config;
     let count = (layout.frames.len() + layout.unreadable.len()) as u64;
@@ -321,7 +321,7 @@ fn common_size(frames: &[FrameFile]) -> Result<(u32, u32)> {
     Ok(size)
 }
 
-/// The camera, if something tells it; that of clouds may be left to a fit.
+/// Returns the camera from the parameters or the file; `None` for clouds without either, whose camera is fitted.
 fn camera(layout: &Layout, size: (u32, u32), config: &Config, beside: Option<&CameraFile>) -> Result<Option<Camera>> {
     if let Some(intrinsics) = config.intrinsics {
         ensure!(

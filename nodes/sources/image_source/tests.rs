@@ -350,7 +350,7 @@ fn a_restart_counts_the_frames_that_were_passed_over() {
     };
     let all = collect::<ImageSource>(config(), context(0, &[]), 9).unwrap();
     assert_eq!(all.iter().map(|(header, _)| header.source.to_string()).collect::<Vec<_>>(), names);
-    // 4.png is found unreadable at the start, 1.png when its turn comes.
+    // 4.png is found to be unreadable when the recording is opened, 1.png when its turn comes.
     for (resume_at, unreadable, position) in [(0, &[][..], 0), (1, &[1], 1), (2, &[2], 3), (4, &[2], 5)] {
         let mut playback = ImageSource::new(config(), &context(resume_at, unreadable)).unwrap().0;
         let uncounted = playback.take_counts().find(|(what, _)| *what == UNREADABLE).unwrap().1;
@@ -509,7 +509,7 @@ fn matrix(x: f64) -> String {
     format!("0 0 1 {x}\n-1 0 0 2\n0 -1 0 3\n0 0 0 1\n")
 }
 
-/// The camera's x in the world in each frame, where it is known.
+/// Returns the camera's x in the world in each frame, if it is known.
 fn places(folder: &Folder, poses: PosesConfig) -> Vec<Option<f64>> {
     let base = folder.path.parent().unwrap().to_owned();
     let config =

@@ -1,5 +1,5 @@
-//! Files that say where a camera was: readers of the three formats that recordings come with. All of them give
-//! `world_from_camera`, in metres, of a camera that looks along z with x to the right and y down.
+//! Readers of camera trajectories in the three formats that recordings come with. Each pose is `world_from_camera`, in metres, of
+//! a camera that looks along z with x to the right and y down.
 //!
 //! - a 4x4 matrix, row by row: 7-Scenes (`frame-000012.pose.txt`)
 //!   <https://www.microsoft.com/en-us/research/project/rgb-d-dataset-7-scenes/>;
@@ -8,7 +8,7 @@
 //! - three whole numbers and a 4x4 matrix for each frame: Open3D's and Redwood's `.log`
 //!   <http://redwood-data.org/indoor/fileformat.html>.
 //!
-//! A matrix whose numbers are not all finite says that the camera was lost there.
+//! A matrix with a number that is not finite means that the camera was lost at that frame.
 
 use super::faulty::excerpt;
 use super::tum;
@@ -16,10 +16,10 @@ use anyhow::{Context as _, Result, bail, ensure};
 use conicflow_messages::is_rotation;
 use nalgebra::{Isometry3, Matrix3, Quaternion, Rotation3, Translation3, UnitQuaternion};
 
-/// How far a quaternion's length may be from 1: four digits, as TUM writes them, leave less.
+/// Largest deviation of a quaternion's length from 1; rounding to four digits, as in TUM's files, stays within it.
 const UNIT_TOLERANCE: f64 = 1e-2;
 
-/// What files of poses should be like.
+/// Hint of the errors: the expected format of a file of poses.
 pub(super) const HINT: &str = "a pose is a 4x4 matrix `world_from_camera` (7-Scenes `*.pose.txt`), a line `timestamp tx ty tz qx \
                                qy qz qw` (TUM `groundtruth.txt`), or three whole numbers and such a matrix (Open3D `.log`); \
                                `poses = \"none\"`, of `conicflow detect` `--poses none`, leaves them alone";
@@ -27,7 +27,7 @@ pub(super) const HINT: &str = "a pose is a 4x4 matrix `world_from_camera` (7-Sce
 /// A pose; `None` where the camera was lost.
 pub(super) type Known = Option<Isometry3<f64>>;
 
-/// What a file holds.
+/// The content of a file.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Trajectory {
     /// One pose.
@@ -38,7 +38,7 @@ pub(super) enum Trajectory {
     Timed(Vec<(u64, Isometry3<f64>)>),
 }
 
-/// A line that is not empty and no comment, with its number.
+/// A line that is neither empty nor a comment, with its number.
 type Line<'a> = (usize, &'a str);
 
 /// Whether a text begins as an Open3D trajectory does: with three whole numbers.
@@ -46,10 +46,10 @@ pub(super) fn begins_in_order(text: &str) -> bool {
     tum::lines(text).next().is_some_and(|(_, line)| frame_numbers(line).is_some())
 }
 
-/// Reads a file of any of the formats; the first line tells which it is.
+/// Reads a file of any of the formats; the number of words in the first line decides which one it is.
 ///
 /// # Errors
-/// What is wrong in which line.
+/// Says which line is wrong, and why.
 pub(super) fn parse(text: &str) -> Result<Trajectory> {
     let lines: Vec<Line> = tum::lines(text).collect();
     let (number, first) = *lines.first().context("there is nothing in it")?;
@@ -65,7 +65,7 @@ pub(super) fn parse(text: &str) -> Result<Trajectory> {
     }
 }
 
-/// The numbers of a line, if it has so many of them and nothing else; what is lost may be infinite or not a number.
+/// Returns the numbers of a line that holds exactly `N` of them. They may be infinite or NaN, where the camera was lost.
 fn numbers<const N: usize>((number, line): Line) -> Result<[f64; N]> {
     let words: Vec<&str> = line.split_whitespace().collect();
     let parsed: Option<Vec<f64>> = words.iter().map(|word| parsed(word)).collect();
@@ -73,7 +73,7 @@ fn numbers<const N: usize>((number, line): Line) -> Result<[f64; N]> {
     parsed.and_then(|numbers| numbers.try_into().ok()).with_context(told)
 }
 
-/// A number; `-1.#IND` and the like, which C writes on Windows, are none, but say so honestly.
+/// Reads a number; `-1.#IND` and the like, which C writes on Windows, are NaN.
 fn parsed(word: &str) -> Option<f64> {
     if word.contains(".#") { Some(f64::NAN) } else { word.parse().ok() }
 }
@@ -83,7 +83,7 @@ fn frame_numbers(line: &str) -> Option<[i64; 3]> {
     numbers?.try_into().ok()
 }
 
-/// Blocks of three whole numbers, which tell nothing that their order does not, and a matrix.
+/// Reads blocks of three whole numbers and a matrix; the numbers are ignored, as the order of the blocks says the same.
 fn in_order(lines: &[Line]) -> Result<Vec<Known>> {
     let block = |block: &[Line]| {
         let (number, head) = block[0];
@@ -94,7 +94,7 @@ fn in_order(lines: &[Line]) -> Result<Vec<Known>> {
     lines.chunks(5).map(block).collect()
 }
 
-/// A matrix of four lines; `number` is that of the line where it begins, for the case that there are fewer.
+/// Reads a matrix of four lines; `number` is that of its first line, for the error where lines are missing.
 fn matrix(lines: &[Line], number: usize) -> Result<Known> {
     ensure!(lines.len() >= 4, "the matrix from line {number} on has {} lines, expected 4", lines.len());
     let mut rows = [[0.0; 4]; 4];

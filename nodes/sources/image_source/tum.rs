@@ -8,12 +8,12 @@ use anyhow::{Context as _, Result, ensure};
 /// Name of the list.
 pub(super) const LIST: &str = "depth.txt";
 
-/// A longer text is none of frames or poses: a day of 30 Hz has a tenth of it.
+/// Largest text file that is read: ten times the list of a day at 30 Hz.
 pub(super) const MAX_BYTES: u64 = 1 << 30;
 /// Metres per unit of a depth pixel.
 pub(super) const DEPTH_SCALE: f64 = 1.0 / 5000.0;
 
-/// What a list that cannot be read should be like.
+/// Hint of the errors: the expected format of the list.
 pub(super) const HINT: &str = "one line for each frame, such as `1305031102.160407 depth/1305031102.160407.png`";
 
 /// One line of the list.
@@ -24,10 +24,10 @@ pub(super) struct Entry<'a> {
     pub(super) name: &'a str,
 }
 
-/// Reads the list, in its order.
+/// Reads the entries in their order.
 ///
 /// # Errors
-/// A line that is no entry, with its number; an empty list.
+/// A line is no entry (the error gives its number), or the list is empty.
 pub(super) fn parse(text: &str) -> Result<Vec<Entry<'_>>> {
     let entry = |(number, line)| entry(line).with_context(|| told(number, line));
     let entries: Vec<_> = lines(text).map(entry).collect::<Result<_>>()?;
@@ -35,7 +35,7 @@ pub(super) fn parse(text: &str) -> Result<Vec<Entry<'_>>> {
     Ok(entries)
 }
 
-/// The lines that are not empty and no comments, with their numbers.
+/// Returns the lines that are neither empty nor comments, with their numbers.
 pub(super) fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
     let lines = (1..).zip(text.lines().map(str::trim));
     lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'))
@@ -51,7 +51,7 @@ fn entry(line: &str) -> Result<Entry<'_>> {
     Ok(Entry { stamp_ns, name: name.trim() })
 }
 
-/// Decimal seconds to nanoseconds, without rounding to a double; digits beyond the ninth are dropped.
+/// Converts decimal seconds to nanoseconds, without rounding to a double; digits beyond the ninth are dropped.
 pub(super) fn nanoseconds(text: &str) -> Option<u64> {
     let (seconds, fraction) = text.split_once('.').unwrap_or((text, ""));
     let digits = fraction.get(..fraction.len().min(9))?;

@@ -1,4 +1,5 @@
-//! Which channels of a recording are played back: the depth images with what tells their camera, or a list of ours.
+//! Chooses the channels of a recording to play back: depth images with their camera's information, or a list that conicflow
+//! recorded.
 
 use super::config::Config;
 use crate::recording::files::{Files, SurveyedChannel};
@@ -12,33 +13,33 @@ use conicflow_ros::{
     is_rectified,
 };
 
-/// What the messages of ROS 2 are encoded in.
+/// The message encoding of ROS 2.
 const CDR: &str = "cdr";
-/// What the recordings of ROS 1 are encoded in.
+/// The message encoding of ROS 1.
 const ROS1: &str = "ros1";
-/// So many messages of a topic are looked at for one that can be used: those of the seconds in which a driver starts.
+/// Number of messages of a topic that are searched for a readable one: those of the seconds in which a driver starts.
 const MOST_LOOKED_AT: usize = 300; // [algorithmic]
-/// What to do where the recording does not tell the camera.
+/// Returns the hint for recordings without the camera's intrinsics.
 fn write_intrinsics(written_in: WrittenIn) -> String {
     format!("write `{}` with the numbers of your camera", written_in.intrinsics([".."; 4]))
 }
 
-/// What is played back.
+/// The channels that are played back.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Chosen {
     /// A list, or other items, as conicflow recorded them.
     Items { topic: String },
     /// Images whose headers conicflow recorded beside them.
     OwnImages { topic: String, headers: String },
-    /// Images of another program, with the camera of the first, and the topic that tells another one where it changes.
+    /// Images of another program, with the first camera, and the topic of `CameraInfo`, where a changed one comes.
     Images { topic: String, is_compressed: bool, camera: Camera, info: Option<String> },
 }
 
 impl Chosen {
-    /// Chooses what fits `item` and what the parameters say, of the channels of these files.
+    /// Chooses among the channels of these files by `item` and the parameters.
     ///
     /// # Errors
-    /// Nothing does, or several do, or the camera is not known.
+    /// No channel fits, several do, or the camera is not known.
     pub(super) fn of(files: &Files, channels: &[SurveyedChannel], config: &Config, item: &ItemType) -> Result<Self> {
         let own = |channel: &&SurveyedChannel| is_own(channel, item);
         if !item.is_image() {
@@ -65,7 +66,8 @@ impl Chosen {
     }
 }
 
-/// What `read` makes of the first message of a channel that it can read; where it can read none, what is wrong with the very first.
+/// Returns the result of `read` for the first message of a channel that it can read, or else its error for the very first
+/// message.
 fn first_readable<T>(files: &Files, channel: &SurveyedChannel, read: impl Fn(&[u8]) -> Result<T>) -> Result<T> {
     read(&channel.first).or_else(|error| {
         let messages = files.messages_again(&[&channel.channel.topic]).map_while(Result::ok);
@@ -73,7 +75,7 @@ fn first_readable<T>(files: &Files, channel: &SurveyedChannel, read: impl Fn(&[u
     })
 }
 
-/// A channel with the first of its images of which it can be told what they are.
+/// Returns the channel with its first readable image in place of its very first.
 fn with_readable_image(files: &Files, channel: &SurveyedChannel) -> SurveyedChannel {
     let read = |message: &[u8]| {
         if is(channel, COMPRESSED_IMAGE.name) {
@@ -87,25 +89,25 @@ fn with_readable_image(files: &Files, channel: &SurveyedChannel) -> SurveyedChan
     SurveyedChannel { first: first.unwrap_or_else(|_| channel.first.clone()), ..channel.clone() }
 }
 
-/// Whether conicflow has recorded such items, in whatever version.
+/// Whether conicflow has recorded such items, in any version.
 pub fn has_own(channels: &[SurveyedChannel], item: &ItemType) -> bool {
     channels.iter().any(|channel| is_own(channel, item))
 }
 
-/// Whether conicflow has recorded other items than these.
+/// Whether conicflow has recorded items of another type.
 pub(super) fn has_other_own(channels: &[SurveyedChannel], item: &ItemType) -> bool {
     let is_other =
         |channel: &&SurveyedChannel| channel.channel.message_encoding == own::ENCODING && !is_own(channel, item);
     channels.iter().any(|channel| is_other(&channel))
 }
 
-/// Whether a channel carries our own messages with such items, of whatever version.
+/// Whether a channel carries messages of conicflow with such items, in any version.
 fn is_own(channel: &SurveyedChannel, item: &ItemType) -> bool {
     let schema = serde_json::from_str::<own::Schema>(own_schema(channel));
     channel.channel.message_encoding == own::ENCODING && schema.is_ok_and(|schema| schema.kind == item.name())
 }
 
-/// What a channel of ours says of its messages.
+/// Returns the schema in a channel's metadata, as conicflow writes it.
 fn own_schema(channel: &SurveyedChannel) -> &str {
     channel.channel.metadata.get(own::SCHEMA).map_or("", String::as_str)
 }
@@ -114,7 +116,7 @@ fn is(channel: &SurveyedChannel, schema: &str) -> bool {
     channel.channel.message_encoding == CDR && channel.schema() == schema
 }
 
-/// Whether a channel carries depth images: by their encoding; gray images of 16 bits only where their name says so.
+/// Whether the encoding of a channel is one of depth images; for 16-bit grey images the topic has to say so.
 fn is_depth(channel: &SurveyedChannel, wanted: Option<&str>) -> bool {
     let topic = &channel.channel.topic;
     if is(channel, COMPRESSED_IMAGE.name) {
@@ -128,7 +130,7 @@ fn is_depth(channel: &SurveyedChannel, wanted: Option<&str>) -> bool {
     }
 }
 
-/// The channels but those that carry the images of another one once more, compressed.
+/// Leaves out the channels that carry the images of another channel compressed.
 fn without_doubles<'a>(channels: &[&'a SurveyedChannel]) -> Vec<&'a SurveyedChannel> {
     let is_double = |channel: &SurveyedChannel| {
         let raw = channel.channel.topic.strip_suffix("/compressedDepth");
@@ -137,7 +139,7 @@ fn without_doubles<'a>(channels: &[&'a SurveyedChannel]) -> Vec<&'a SurveyedChan
     channels.iter().filter(|channel| !is_double(channel)).copied().collect()
 }
 
-/// The channel that was named, in whole or but for its last part, or the only one.
+/// Returns the channel that `topic` names, in full or without its last part, or else the only one.
 fn choose<'a>(
     all: &'a [SurveyedChannel],
     fitting: &[&'a SurveyedChannel],
@@ -166,7 +168,7 @@ fn choose<'a>(
         let rest = channel.channel.topic.strip_prefix(wanted.trim_end_matches('/'));
         rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('/') && !rest[1..].contains('/'))
     };
-    // A raw image, where there is also the same compressed.
+    // Prefers the raw image to the compressed one of the same topic.
     let found = all.iter().find(|channel| channel.channel.topic == wanted);
     let found = found.filter(|found| fitting.iter().any(|channel| channel.channel.topic == found.channel.topic));
     let found = found.or_else(|| fitting.iter().copied().find(is_wanted));
@@ -206,7 +208,7 @@ fn nothing_fits(all: &[SurveyedChannel], what: &str) -> Hinted {
     Hinted::new(format!("the recording has no {what}; it has{there}"), "was the right topic recorded?")
 }
 
-/// Of a channel of images, what these are, or why not even the first one tells.
+/// Returns the encoding of a channel's images for an error, or the reason why even the first image cannot be read.
 fn kind_of_image(channel: &SurveyedChannel) -> String {
     if !is(channel, IMAGE.name) {
         return String::new();
@@ -217,7 +219,7 @@ fn kind_of_image(channel: &SurveyedChannel) -> String {
     }
 }
 
-/// The camera of the images: by the parameters, or by the CameraInfo beside them, whose topic is told, too.
+/// Returns the camera of the images, from the parameters, or from the `CameraInfo` beside them together with its topic.
 fn camera(
     files: &Files,
     channels: &[SurveyedChannel],
@@ -253,15 +255,15 @@ fn camera(
     Ok((camera_by((name, &read), topic, size, rectified, config.written_in)?, Some(name.clone())))
 }
 
-/// What a message of the topic `name` tells of a camera.
+/// Reads a `CameraInfo` of the topic `name`.
 pub(super) fn read_info(name: &str, message: &[u8], written_in: WrittenIn) -> Result<CameraInfo> {
     let info = CameraInfo::read(message).with_context(|| format!("a message of `{name}`"))?;
     ensure!(info.is_calibrated(), uncalibrated(name, written_in));
     Ok(info)
 }
 
-/// The camera of images of a topic and of this size, by what the topic `name` tells of it; `rectified` is another topic of images,
-/// for a hint.
+/// Returns the camera of images of a topic and this size from the `CameraInfo` of the topic `name`; `rectified` is another image
+/// topic, for a hint.
 pub(super) fn camera_by(
     (name, info): (&str, &CameraInfo),
     topic: &str,
@@ -294,7 +296,7 @@ fn uncalibrated(name: &str, written_in: WrittenIn) -> Hinted {
     Hinted::new(format!("`{name}` has no intrinsics: the camera was not calibrated"), write_intrinsics(written_in))
 }
 
-/// Width and height of an image of a channel.
+/// Returns width and height of an image of a channel.
 fn size_of(images: &SurveyedChannel, message: &[u8]) -> Result<(u32, u32)> {
     if is(images, COMPRESSED_IMAGE.name) {
         return Ok(CompressedImage::read(message)?.depths()?.0);

@@ -11,7 +11,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// What a source sends where nothing else is asked for.
+/// The item type of a source unless another one is asked for.
 pub(super) const DEPTH: ItemType = ItemType::of::<u16>();
 
 /// Parameters of `mcap_source`.
@@ -30,8 +30,8 @@ pub struct Config {
     /// Depth noise of the sensor: a name (`kinect_v1`, `realsense_d435`, `time_of_flight`, `ideal`) or a table; default: as
     /// recorded by conicflow, else `kinect_v1`.
     pub noise: Option<NoiseConfig>,
-    /// The frame of coordinates in which the camera's pose is wanted, such as `map`: looked for in /tf and /tf_static; default:
-    /// as recorded by conicflow, else none.
+    /// The coordinate frame for the camera's pose, such as `map`, which is searched for in /tf and /tf_static; default: as
+    /// recorded by conicflow, else none.
     pub world: Option<String>,
     /// Messages per second; 0: as fast as the pipeline takes them; default: as recorded.
     #[schemars(range(min = 0.0))]
@@ -42,16 +42,16 @@ pub struct Config {
     /// Seconds of the recording to leave out at its beginning.
     #[schemars(range(min = 0.0))]
     pub from_s: f64,
-    /// Where to end, in seconds from the beginning of the recording; default: at its end.
+    /// End of the playback, in seconds from the beginning of the recording; default: its end.
     #[schemars(range(min = 0.0))]
     pub to_s: Option<f64>,
-    /// Where these parameters are written.
+    /// Where these parameters were written, for the hints.
     #[serde(skip)]
     pub written_in: WrittenIn,
 }
 
 impl Config {
-    /// What types and ranges cannot tell: values that exclude each other, files that are missing.
+    /// Returns the faults that types and ranges do not exclude: values that contradict each other, missing files.
     pub fn faults(&self, base: &Path) -> Vec<ConfigFault> {
         let mut faults = Vec::new();
         match self.path.as_ref().map(|path| base.join(path)) {
@@ -67,7 +67,8 @@ impl Config {
         faults
     }
 
-    /// The files that are read, which a parameter called `path` names: of a folder those that are there, and those that come.
+    /// Returns the files that are read, for the parameter `key`: those that exist, and in a folder also those that are added
+    /// later.
     pub fn reads(&self, base: &Path, key: &'static str) -> Vec<FileUse> {
         let Some(path) = self.path.as_ref().map(|path| base.join(path)) else { return Vec::new() };
         let files = Files::find(&path).map(|files| files.paths().cloned().collect::<Vec<_>>()).unwrap_or_default();
@@ -75,13 +76,13 @@ impl Config {
         files.into_iter().map(|file| FileUse::one(key, file)).chain(those_that_come).collect()
     }
 
-    /// Whether not all of the recording is played.
+    /// Whether only a part of the recording is played.
     pub(super) fn is_part(&self) -> bool {
         self.from_s > 0.0 || self.to_s.is_some()
     }
 
-    /// Why the images of a recording cannot be played, as far as that is known at once: where its files tell what they have, and
-    /// nothing but images can be meant.
+    /// Returns why the images of a recording cannot be played, if that is known without reading its files in full, and if it has
+    /// nothing else that may be meant.
     fn unplayable(&self, path: &Path) -> Option<ConfigFault> {
         let files = Files::find(path).ok()?;
         let channels = files.survey_of_complete()?;

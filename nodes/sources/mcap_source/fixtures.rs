@@ -1,4 +1,4 @@
-//! Recordings to play back: as other programs make them, and as conicflow does.
+//! Recordings for tests: as other programs write them, and as conicflow does.
 
 use super::replay::Replayed;
 use super::*;
@@ -16,7 +16,7 @@ pub(super) const CAMERA: Camera = Camera { width: 4, height: 3, fx: 50.0, fy: 51
 pub(super) const SIZE: (u32, u32) = (4, 3);
 pub(super) const IMAGES: &str = "/camera/depth/image_rect_raw";
 pub(super) const INFO: &str = "/camera/depth/camera_info";
-/// When the first message of these recordings was written; the frames are a tenth of a second apart.
+/// Log time of the first message; the frames are a tenth of a second apart.
 pub(super) const BEGIN_NS: u64 = 1_700_000_000_000_000_000;
 
 pub(super) fn stamp_ns(frame: u64) -> u64 {
@@ -57,7 +57,7 @@ impl Foreign {
         self.put(topic, CAMERA_INFO, 0, &CameraInfo::write(stamped(0), &CAMERA, Vec::new()))
     }
 
-    /// Frames from the first of these to before the last.
+    /// Adds images for this range of frames.
     pub(super) fn images(&mut self, topic: &str, frames: std::ops::Range<u64>) -> &mut Self {
         for frame in frames {
             self.put(topic, IMAGE, frame, &write_units(stamped(frame), SIZE, &pixels(frame), Vec::new()));
@@ -116,7 +116,7 @@ pub(super) fn topic(topic: &str) -> Config {
     Config { topic: Some(topic.to_owned()), ..Config::default() }
 }
 
-/// The header of a frame as a pipeline has it behind two stages.
+/// The header of a frame after two stages of a pipeline.
 pub(super) fn header(number: u64, depth_scale: f64) -> Header {
     let mut header = Header {
         epoch: 9,
@@ -135,7 +135,7 @@ pub(super) fn header(number: u64, depth_scale: f64) -> Header {
     header
 }
 
-/// What a replay makes of a header: all but the way that the message went.
+/// The header as a replay returns it: without the trace of hops.
 pub(super) fn replayed(header: Header) -> Header {
     Header { hop_count: 0, hops: Default::default(), ..header }
 }

@@ -1,8 +1,8 @@
-//! Plays back recordings of robots: MCAP files with ROS 2 messages, whoever wrote them, and those of `mcap_sink` and `conicflow
-//! record`, whose frames and lists come back to the bit.
+//! Plays back recordings of robots: MCAP files with ROS 2 messages of any program, and recordings of `mcap_sink` and `conicflow
+//! record`, whose frames and lists come back bit by bit.
 //!
-//! A frame that cannot be read is reported, counted as `frames unreadable` and passed over; so is a part of a file, counted as
-//! `damaged places`.
+//! A frame that cannot be read is logged, counted as `frames unreadable` and skipped; so is an unreadable part of a file, counted
+//! as `damaged places`.
 
 mod channels;
 mod config;
@@ -51,7 +51,7 @@ impl Source for McapSource {
     }
 
     fn message_length(config: &Config, base: &Path) -> Option<usize> {
-        // What cannot be opened is told when the stage starts.
+        // A recording that cannot be opened is reported when the stage starts.
         Replay::open(config, base, &DEPTH).ok()?.pixels()
     }
 

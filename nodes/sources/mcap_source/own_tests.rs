@@ -1,4 +1,4 @@
-//! What conicflow has recorded comes back to the bit, and what becomes of the files.
+//! Tests that recordings by conicflow come back bit by bit, and of the files that are written.
 
 use super::fixtures::*;
 use super::replay::Replayed;
@@ -73,7 +73,7 @@ fn what_a_killed_recorder_has_written_is_there_after_a_second() {
     let header = header(0, 0.001);
     let depth = AnyMessage { header: &header, item: &BUILT_IN[0], bytes: bytemuck::cast_slice(&ANY) };
     recorder.write("depth", &depth, None).unwrap();
-    // Nothing follows, and the recorder is not asked to finish: its thread sees to it.
+    // Nothing follows, and `finish` is not called: the recorder's thread flushes.
     let deadline = Instant::now() + Duration::from_secs(60);
     while Files::find(&path).unwrap().survey().map_or(0, |seen| seen.len()) < 4 {
         assert!(Instant::now() < deadline, "it never came into the file");
@@ -99,7 +99,7 @@ fn recordings_are_split_and_kept_to_a_limit() {
     let config = Config { path: Some("new".into()), ..Config::default() };
     assert_eq!(all(&mut Replay::open(&config, place.path(), &DEPTH).unwrap()).unwrap().len(), 7);
     fs::remove_dir_all(place.path().join("new")).unwrap();
-    // A file that is complete has an index, and some kilobytes.
+    // A complete file has an index, and so some kilobytes.
     let limited = Limits { total_bytes: Some(40_000), ..by_time };
     assert_eq!(record(&path, limited, 0.001, 0..30), Recorded::Written);
     let left = names();
@@ -207,7 +207,7 @@ fn a_restart_counts_and_removes_only_what_its_own_run_has_recorded() {
     assert_eq!(write_one(&restart).unwrap(), Recorded::Written);
     assert_eq!(restart.finish().unwrap(), 2 * own);
     assert_eq!(length("run_5.mcap"), own);
-    // Beyond the limit with its own files alone: the oldest of these goes.
+    // Its own files alone exceed the limit: the oldest of them is removed.
     let restart = Recorder::create(&path, limits(2 * own), RUN + 1, true).unwrap();
     assert_eq!(write_one(&restart).unwrap(), Recorded::Written);
     assert!(!path.exists() && length("run_1.mcap") > own && length("run_4.mcap") > 0 && length("run_5.mcap") == own);

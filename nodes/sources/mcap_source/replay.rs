@@ -1,4 +1,4 @@
-//! The messages of a recording one by one, with the headers that they had, or those that their camera gives them.
+//! Plays the messages of a recording one by one, with their recorded headers, or with headers made from the camera's information.
 
 use super::channels::{Chosen, camera_by, read_info};
 use super::config::Config;
@@ -18,7 +18,7 @@ const UNREADABLE: &str = "frames unreadable";
 const INFOS_UNREADABLE: &str = "CameraInfo unreadable";
 const TRANSFORMS_UNREADABLE: &str = "transforms unreadable";
 const WITHOUT_POSE: &str = "frames without pose";
-/// A frame that is repeated alone comes after so long.
+/// Period between repetitions of a recording that has a single frame.
 const USUAL_PERIOD_NS: u64 = (1e9 / USUAL_RATE_HZ) as u64;
 
 /// A message of a recording.
@@ -26,14 +26,14 @@ const USUAL_PERIOD_NS: u64 = (1e9 / USUAL_RATE_HZ) as u64;
 pub struct Replayed {
     /// Its header.
     pub header: Header,
-    /// When it was written, by the file.
+    /// Log time of the file.
     pub written_ns: u64,
     /// Its items as bytes, in the order of this machine.
     pub items: Vec<u8>,
 }
 
 impl Replayed {
-    /// Its items, wherever in memory they lie.
+    /// The items as values; the bytes need no alignment.
     pub fn items_as<T: Item>(&self) -> Vec<T> {
         self.items.chunks_exact(size_of::<T>()).map(bytemuck::pod_read_unaligned).collect()
     }
@@ -46,28 +46,28 @@ pub struct Replay {
     item: ItemType,
     config: Config,
     transforms: Option<Transforms>,
-    /// What was told last of the camera while the recording was played.
+    /// The last `CameraInfo` that came while the recording was played.
     info: Option<CameraInfo>,
     messages: Messages,
-    /// The header that was read last, of images that have theirs in another channel.
+    /// The last header that was read, for images whose headers are in another channel.
     header: Option<Header>,
     round: Round,
     counts: BTreeMap<&'static str, u64>,
-    /// Sorts of messages that cannot be used of which it was said why.
+    /// Kinds of unusable messages for which the reason was already logged.
     told: BTreeSet<&'static str>,
     is_told: bool,
     empty: EmptyFrames,
 }
 
-/// Where in a recording, and in which repetition of it.
+/// The position in a recording, and in which repetition of it.
 #[derive(Clone, Copy, Debug, Default)]
 struct Round {
-    /// When the first message was written, by the file.
+    /// Log time of the first message.
     begin_ns: Option<u64>,
-    /// What is added to stamps and numbers in this round.
+    /// Offset added to stamps in this round; that of the sequence numbers follows.
     stamp_ns: u64,
     sequence: u64,
-    /// Stamps and numbers that were sent: the least and the largest of each, and how many.
+    /// Smallest and largest stamp and sequence number that were sent, and the number of messages.
     least: Option<(u64, u64)>,
     most: (u64, u64),
     sent: u64,
@@ -77,15 +77,16 @@ impl Replay {
     /// Opens the recording that `config` names, relative to `base`, to send messages of `item`.
     ///
     /// # Errors
-    /// There is none, or nothing in it fits.
+    /// There is no recording, or nothing in it fits.
     pub fn open(config: &Config, base: &Path, item: &ItemType) -> Result<Self> {
         Self::resume(config, base, item, 0, &Stop::default())
     }
 
-    /// The same for a stage, which shows by `stop` that it lives; it has sent the first `resume_at` of them before.
+    /// Opens the recording for a stage, which reports through `stop` that it is alive; skips the first `resume_at` messages,
+    /// which an earlier process of it has sent.
     ///
     /// # Errors
-    /// As of [`Self::open`].
+    /// As for [`Self::open`].
     pub fn resume(config: &Config, base: &Path, item: &ItemType, resume_at: u64, stop: &Stop) -> Result<Self> {
         let path = config.path.as_ref();
         let path = path.ok_or_else(|| Hinted::new("`path` is missing", "write `path = \"run.mcap\"`"))?;
@@ -118,7 +119,7 @@ impl Replay {
                 break;
             }
         }
-        // An earlier process has counted what came before.
+        // The earlier process has counted what was skipped.
         replay.counts.clear();
         if let Some(world) = &config.world {
             replay.learn_transforms(&channels, world, resume_at == 0)?;
@@ -126,8 +127,8 @@ impl Replay {
         Ok(replay)
     }
 
-    /// Takes in all that is told of frames of coordinates, in which `world` has to be one; what makes no sense is counted where that
-    /// was not done before.
+    /// Reads all transforms between coordinate frames, one of which has to be `world`; unreadable ones are counted if
+    /// `is_counted`.
     fn learn_transforms(&mut self, channels: &[SurveyedChannel], world: &str, is_counted: bool) -> Result<()> {
         let of_transforms = channels.iter().filter(|channel| channel.schema() == TF_MESSAGE.name);
         let topics: Vec<_> = of_transforms.map(|channel| channel.channel.topic.as_str()).collect();
@@ -152,18 +153,18 @@ impl Replay {
         Ok(())
     }
 
-    /// The same, which does not say what its images are like.
+    /// Suppresses the log line about resolution and depths of the images.
     #[must_use]
     pub fn silent(self) -> Self {
         Self { is_told: true, empty: EmptyFrames::silent(), ..self }
     }
 
-    /// What is sent.
+    /// The item type that is sent.
     pub fn item(&self) -> &ItemType {
         &self.item
     }
 
-    /// Number of pixels of an image, where the recording tells before it is played.
+    /// Number of pixels of an image, if it is known before the recording is played.
     pub fn pixels(&self) -> Option<usize> {
         let camera = match &self.chosen {
             Chosen::Images { camera, .. } => *camera,
@@ -176,7 +177,7 @@ impl Replay {
         Some(camera.width as usize * camera.height as usize)
     }
 
-    /// What was counted since this was asked last.
+    /// Returns the counts since the last call.
     pub fn take_counts(&mut self) -> impl Iterator<Item = (&'static str, u64)> + use<> {
         std::mem::take(&mut self.counts).into_iter()
     }
@@ -187,10 +188,10 @@ impl Replay {
         self.header = None;
     }
 
-    /// The next message that can be read; none: there is none left.
+    /// Returns the next message that can be read; `None` at the end.
     ///
     /// # Errors
-    /// A file cannot be read, or none of the messages can.
+    /// A file cannot be read, or none of the messages can be.
     pub fn next_message(&mut self) -> Result<Option<Replayed>> {
         loop {
             let before = self.messages.damaged();
@@ -225,7 +226,7 @@ impl Replay {
         }
     }
 
-    /// Counts a message that cannot be used, and says why of the first of its sort.
+    /// Counts a message that cannot be used; logs the reason for the first one of its kind.
     fn pass_over(&mut self, topic: &str, sort: &'static str, error: &Error) {
         if self.told.insert(sort) {
             tracing::warn!("passed over a message of `{topic}`, more of that is counted as `{sort}`: {error:#}");
@@ -233,7 +234,7 @@ impl Replay {
         *self.counts.entry(sort).or_default() += 1;
     }
 
-    /// Starts from the beginning where that is wanted; it is an error where no message could be read.
+    /// Starts again from the beginning if `repeat` is set. It is an error if no message could be read.
     fn begins_again(&mut self) -> Result<bool> {
         let Round { least, most, sent, begin_ns, .. } = self.round;
         let Some((stamp_ns, sequence)) = least else {
@@ -246,7 +247,7 @@ impl Replay {
         if !self.config.repeat {
             return Ok(false);
         }
-        // As long after the last message as messages are apart, whose stamps need not rise, or differ.
+        // The gap between two rounds is the mean period of the messages; their stamps need neither rise nor differ.
         let span_ns = most.0 - stamp_ns;
         let period_ns = if span_ns > 0 { span_ns / (sent - 1).max(1) } else { USUAL_PERIOD_NS };
         self.round = Round {
@@ -260,7 +261,7 @@ impl Replay {
         Ok(true)
     }
 
-    /// Those of some messages that are between `from_s` and `to_s`, or a little more.
+    /// Restricts messages to those between `from_s` and `to_s`, with 1 ns more at each end.
     fn part(&self, messages: Messages) -> Messages {
         let Some(begin_ns) = self.round.begin_ns.filter(|_| self.config.is_part()) else { return messages };
         let after = |seconds: f64| begin_ns.saturating_add((seconds * 1e9).ceil() as u64);
@@ -275,7 +276,7 @@ impl Replay {
         at_s >= self.config.from_s && self.config.to_s.is_none_or(|to_s| at_s < to_s)
     }
 
-    /// A message as it is sent in this round.
+    /// Moves the stamp and sequence number of a message on to this round.
     fn in_round(&mut self, mut replayed: Replayed) -> Replayed {
         let header = &mut replayed.header;
         let now = (header.stamp_ns, header.sequence);
@@ -288,7 +289,7 @@ impl Replay {
         replayed
     }
 
-    /// What a message holds; none of a header, whose image follows.
+    /// Decodes a message; `None` for a header, whose image follows.
     fn decode(&mut self, message: &Message) -> Result<Option<Replayed>> {
         let replayed = match &self.chosen {
             Chosen::Items { .. } => {
@@ -313,7 +314,7 @@ impl Replay {
         Ok(Some(replayed))
     }
 
-    /// A message of ours, checked, with what the parameters say in place of what was recorded.
+    /// Checks a message that conicflow recorded, and replaces what the parameters override.
     fn own(&self, message: &Message, recorded: Header, items: Vec<u8>) -> Result<Replayed> {
         self.item.check(&recorded, &items)?;
         ensure!(!recorded.ends_stream(), "it is the end of a stream");
@@ -326,7 +327,7 @@ impl Replay {
         Ok(Replayed { header, written_ns: message.log_time, items })
     }
 
-    /// An image of another program, whose camera is that of the first image, unless another one was told since.
+    /// Decodes an image of another program; its camera is that of the last `CameraInfo`, or else of the first image.
     fn image(&mut self, message: &Message, is_compressed: bool, first: Camera) -> Result<Replayed> {
         let (stamped, size, depths) = if is_compressed {
             let image = CompressedImage::read(&message.data)?;
@@ -345,7 +346,7 @@ impl Replay {
         let expected = (camera.width, camera.height);
         ensure!(size == expected, "{}x{} pixels, expected {}x{}", size.0, size.1, expected.0, expected.1);
         let Units { pixels, depth_scale, too_far } = depths.in_units(self.config.depth_scale);
-        // A driver that knows no time leaves it at zero.
+        // A driver without a clock leaves the stamp at zero.
         let stamp_ns = if stamped.stamp_ns > 0 { stamped.stamp_ns } else { message.log_time };
         let noise = self.config.noise.unwrap_or_default().into();
         let source = Text::new(&message.channel.topic);
@@ -358,7 +359,7 @@ impl Replay {
         Ok(Replayed { header, written_ns: message.log_time, items })
     }
 
-    /// Tells where the camera is, if that is wanted and known.
+    /// Sets the camera's pose, if `world` is configured and the pose is known.
     fn place(&mut self, header: &mut Header, stamped: &Stamped<'_>) {
         let (Some(transforms), Some(world)) = (&self.transforms, &self.config.world) else { return };
         match transforms.pose(world, stamped.frame_id, stamped.stamp_ns) {
@@ -367,7 +368,7 @@ impl Replay {
         }
     }
 
-    /// Counts what was left out of an image as too far, and says where nothing is left of it, or nothing was there.
+    /// Counts the pixels that are too far for the units; warns where an image is empty.
     fn count_too_far(&mut self, topic: &str, pixels: &[u16], too_far: u64) {
         if too_far > 0 {
             *self.counts.entry(TOO_FAR).or_default() += too_far;
@@ -375,7 +376,7 @@ impl Replay {
         self.empty.look(topic, pixels, too_far);
     }
 
-    /// Says once what the images are like, so that a wrong scale is seen.
+    /// Logs once the resolution and depths of the images, so that a wrong scale is seen.
     fn tell(&mut self, replayed: &Replayed) {
         let Header { camera, depth_scale, .. } = &replayed.header;
         let pixels = || replayed.items_as::<u16>();
@@ -394,18 +395,18 @@ impl Chosen {
         }
     }
 
-    /// The topic that tells the camera of images of another program.
+    /// The topic of `CameraInfo` for images of another program.
     fn info(&self) -> Option<&String> {
         if let Self::Images { info, .. } = self { info.as_ref() } else { None }
     }
 }
 
-/// The bytes of pixels that `mcap_sink` has written: the same that it was given.
+/// Returns the pixels that `mcap_sink` has recorded, as bytes, exactly as it received them.
 fn own_pixels(depths: &Depths, depth_scale: f64) -> Vec<u8> {
     let unit = |z: &f32| match *z {
         z if z.is_nan() => INVALID_NEAR,
         z if z.is_infinite() => INVALID_FAR,
-        // Single precision tells 65,535 steps apart: rounded, this is the very unit.
+        // Single precision distinguishes 65,535 steps, so that rounding gives the exact unit.
         z => (f64::from(z) / depth_scale).round() as u16,
     };
     match depths {

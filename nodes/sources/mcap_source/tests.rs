@@ -1,4 +1,4 @@
-//! Recordings that other programs have made.
+//! Tests with recordings of other programs.
 
 use super::fixtures::*;
 use super::*;
@@ -56,11 +56,11 @@ fn replace(bytes: &[u8], from: &[u8], to: &[u8]) -> Vec<u8> {
     changed
 }
 
-/// The same file, its chunks compressed by zstd, and without an index.
+/// Returns the same file with chunks compressed by zstd, and without an index.
 fn with_zstd(file: &[u8]) -> Vec<u8> {
     const CHUNK: u8 = 0x06;
     const DATA_END: u8 = 0x0f;
-    /// Before the chunk's compression: its times, size and check sum.
+    /// Offset of the compression's name in a chunk record, after times, size and checksum.
     const BEGIN: usize = 28;
     let (mut changed, mut at) = (file[..8].to_vec(), 8);
     loop {
@@ -106,7 +106,7 @@ fn a_file_that_was_cut_is_played_up_to_its_last_whole_message() {
         }
         assert_eq!(most, 5);
     }
-    // Half a chunk: what is whole in it counts.
+    // Half a chunk: its whole messages count.
     let mut file = Foreign::new(None).info(INFO).images(IMAGES, 0..3).bytes();
     let second = write_units(stamped(1), SIZE, &pixels(1), Vec::new());
     let at = file.windows(second.len()).position(|bytes| bytes == second).unwrap();
@@ -122,7 +122,7 @@ fn a_damaged_chunk_is_left_out_and_counted() {
         assert!(chunks.len() > 2, "{chunks:?}");
         for chunk in &chunks[1..] {
             let mut damaged = file.clone();
-            // All of it but its head, so that lz4 fails and not the check sum alone.
+            // All of the chunk but its header, so that lz4 fails, and not only the checksum.
             damaged[chunk.start + 70..chunk.end].iter_mut().for_each(|byte| *byte = !*byte);
             let place = RecordingFolder::of(&damaged);
             let mut replay = place.open(Config::default()).unwrap();
@@ -163,12 +163,12 @@ fn a_chunk_that_its_check_sum_alone_shows_to_be_damaged_is_left_out_wherever_one
     assert!(all(&mut replay).unwrap().len() <= 1);
 }
 
-/// Whether these frames have one of this time with these depths.
+/// Whether these frames include one with this time and these depths.
 fn is_of(frames: &[(Header, Vec<u16>)], (header, depths): &(Header, Vec<u16>)) -> bool {
     frames.iter().any(|(own, same)| own.stamp_ns == header.stamp_ns && same == depths)
 }
 
-/// Where the chunks of a file lie.
+/// Returns the ranges of the chunks in a file.
 fn chunks(file: &[u8]) -> Vec<std::ops::Range<usize>> {
     let (mut chunks, mut at) = (Vec::new(), 8);
     while at + 9 < file.len() {
@@ -257,7 +257,7 @@ fn compressed_depth_has_the_camera_of_the_raw_images() {
     let frames = play(&file, Config::default()).unwrap();
     assert_eq!((frames.len(), &frames[1].1, frames[1].0.camera), (2, &pixels(1), CAMERA));
     assert_eq!(play(&file, topic(IMAGES)).unwrap(), frames, "named without its last part");
-    // The same images twice: the raw ones are taken.
+    // The same images twice: the raw ones are used.
     let both =
         Foreign::new(None).info(INFO).put(&name, COMPRESSED_IMAGE, 0, &compressed(0)).images(IMAGES, 0..3).bytes();
     assert_eq!(play(&both, Config::default()).unwrap().len(), 3);
@@ -300,7 +300,7 @@ fn what_a_recording_cannot_play_is_known_before_it_is_played() {
     assert!(told.len() == 1 && told[0].starts_with("`topic`: several topics carry depth images: "), "{told:?}");
     let named: Vec<String> = faults(&two, topic(IMAGES));
     assert!(named.is_empty(), "{named:?}");
-    // It may be that its lists are to be played.
+    // Its lists may be meant.
     let place = RecordingFolder(tempfile::tempdir().unwrap());
     record(&place.0.path().join("run.mcap"), Limits::default(), 0.001, 0..2);
     let own =
@@ -311,7 +311,7 @@ fn what_a_recording_cannot_play_is_known_before_it_is_played() {
 #[test]
 fn an_image_of_absurd_size_is_told_as_such() {
     let mut huge = write_units(stamped(0), SIZE, &pixels(0), Vec::new());
-    // Height and width stand behind the stamp and the name of the frame.
+    // Height and width follow the stamp and the name of the frame.
     let at = huge.windows(8).position(|bytes| bytes == [3, 0, 0, 0, 4, 0, 0, 0]).unwrap();
     huge[at..at + 4].copy_from_slice(&u32::MAX.to_le_bytes());
     let file = Foreign::new(None).info(INFO).put(IMAGES, IMAGE, 0, &huge).bytes();
@@ -365,7 +365,7 @@ fn a_distorted_image_is_refused_and_the_rectified_one_named() {
     let file = file.put(INFO, CAMERA_INFO, 0, &info).images(raw, 0..1).images("/camera/depth/image_rect", 0..1).bytes();
     assert!(told(&file, topic(raw)).ends_with("hint: `topic = \"/camera/depth/image_rect\"` is rectified"));
     assert_eq!(play(&file, topic("/camera/depth/image_rect")).unwrap()[0].0.camera.fx, 45.0, "the projection's");
-    // Of both the one that can be played is proposed, as it is written there.
+    // The hint proposes the one that can be played, in the syntax of the place.
     assert!(told(&file, Config::default()).ends_with("such as `topic = \"/camera/depth/image_rect\"`"));
     let written_in = WrittenIn::CommandLine;
     let shell = told(&file, Config { written_in, ..Config::default() });
@@ -448,7 +448,7 @@ fn a_camera_that_changes_is_followed() {
     let info = |camera: &Camera| CameraInfo::write(stamped(0), camera, Vec::new());
     let mut file = Foreign::new(None);
     file.info(INFO).images(IMAGES, 0..2).put(INFO, CAMERA_INFO, 2, &info(&other)).images(IMAGES, 2..4);
-    // Of the first of these nothing tells the camera yet.
+    // The first of these frames comes before its camera is known.
     for frame in 4..6 {
         file.put(IMAGES, IMAGE, frame, &write_units(stamped(frame), (6, 2), &pixels(frame), Vec::new()));
         file.put(INFO, CAMERA_INFO, frame, &info(&small));

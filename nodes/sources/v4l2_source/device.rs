@@ -1,8 +1,8 @@
-//! Video devices of Linux: what the source needs of them, and how the kernel gives it.
+//! Access to Linux video devices: the trait that the source needs, and its implementation by the kernel.
 //!
-//! The kernel is spoken with by `linuxvideo`, which is Rust alone and has no `unsafe` to be called; `v4l` and `v4l2r` generate
-//! their bindings by libclang, which a build here would need then. It tells neither the kernel's stamp nor its number of a
-//! buffer. What stands here below [`LinuxVideo`] needs a device and was not tried with one.
+//! Calls to the kernel go through `linuxvideo`, which is pure Rust with a safe interface; `v4l` and `v4l2r` generate their
+//! bindings with libclang, which would be needed for each build. It gives neither the kernel's time stamp nor the sequence number
+//! of a buffer. The code from [`LinuxVideo`] on needs a device and was not tested with one.
 
 use super::format::{DepthFormat, Layout};
 use linuxvideo::format::{FrameIntervals, FrameSizes, PixFormat, PixelFormat};
@@ -15,24 +15,25 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// What has video devices.
+/// Access to video devices.
 pub trait Driver {
-    /// A device that sends images.
+    /// A stream of images.
     type Stream: Stream;
 
-    /// The devices that have formats with depths.
+    /// Lists the devices with depth formats.
     fn devices(&self) -> Vec<Found>;
 
-    /// Has a device send images of that format and size, if it has them, or of those that are nearest.
+    /// Starts a stream of this format and size, or of the nearest that the device has.
     ///
     /// # Errors
-    /// It is gone, or another program has it.
+    /// The device is gone, or another program uses it.
     fn open(&self, path: &Path, mode: &Mode) -> io::Result<(Layout, Self::Stream)>;
 }
 
-/// A device that sends images.
+/// A stream of images from a device.
 pub trait Stream {
-    /// Waits for a buffer and shows it; whether one came. `is_damaged`: the driver says that it is not whole.
+    /// Waits for a buffer and passes it to `show`; returns whether one came. `is_damaged`: the driver reports the buffer as
+    /// incomplete.
     ///
     /// # Errors
     /// The device is gone.
@@ -42,24 +43,24 @@ pub trait Stream {
 /// A device that was found.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Found {
-    /// Its file.
+    /// Path of the device file.
     pub path: PathBuf,
-    /// Its name.
+    /// Name of the device.
     pub name: String,
-    /// What it offers.
+    /// Modes that it offers.
     pub modes: Vec<Mode>,
 }
 
-/// What a device offers, or is asked for.
+/// A mode that a device offers, or that is requested.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mode {
-    /// What a pixel is.
+    /// Pixel format.
     pub format: DepthFormat,
     /// Columns.
     pub width: u32,
     /// Rows.
     pub height: u32,
-    /// Images per second; of one that is asked for at most one, and none if the device may choose.
+    /// Images per second. A request has one rate at most, or none if the device may choose.
     pub rates_hz: Vec<f64>,
 }
 
@@ -78,7 +79,7 @@ impl fmt::Display for Found {
     }
 }
 
-/// The kernel.
+/// The drivers of the Linux kernel.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct LinuxVideo;
 
@@ -86,7 +87,7 @@ impl Driver for LinuxVideo {
     type Stream = ReadStream;
 
     fn devices(&self) -> Vec<Found> {
-        // What this user may not open is as good as not there.
+        // Devices that this user may not open are left out.
         let opened = linuxvideo::list().into_iter().flatten().flatten();
         let mut devices: Vec<Found> = opened.filter_map(|device| found(&device).ok()).collect();
         devices.retain(|device| !device.modes.is_empty());
@@ -115,7 +116,7 @@ impl Stream for ReadStream {
     fn next(&mut self, patience: Duration, show: &mut dyn FnMut(&[u8], bool)) -> io::Result<bool> {
         let patience = Timespec { tv_sec: patience.as_secs().cast_signed(), tv_nsec: patience.subsec_nanos().into() };
         match poll(&mut [PollFd::new(&*self, PollFlags::IN)], Some(&patience)) {
-            // A signal that tells the stage to end interrupts the wait.
+            // The wait is interrupted by the signal that ends the stage.
             Ok(0) | Err(Errno::INTR) => Ok(false),
             Ok(_) => self.dequeue(|buffer| {
                 show(&buffer, buffer.is_error());
@@ -142,7 +143,7 @@ fn found(device: &Device) -> io::Result<Found> {
     Ok(Found { path: device.path()?, name: capabilities.card().to_owned(), modes })
 }
 
-/// The sizes that are listed; of a range the largest.
+/// The sizes in a list, or the largest one of a range.
 fn sizes(sizes: &FrameSizes) -> Vec<(u32, u32)> {
     match sizes {
         FrameSizes::Discrete(list) => list.iter().map(|size| (size.width(), size.height())).collect(),
@@ -150,7 +151,7 @@ fn sizes(sizes: &FrameSizes) -> Vec<(u32, u32)> {
     }
 }
 
-/// The rates that are listed; of a range the fastest.
+/// The rates in a list, or the fastest one of a range.
 fn rates_hz(intervals: &FrameIntervals) -> Vec<f64> {
     let rate = |interval: &Fract| f64::from(interval.denominator()) / f64::from(interval.numerator().max(1));
     match intervals {

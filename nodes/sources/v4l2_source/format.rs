@@ -1,4 +1,4 @@
-//! The depth formats of Linux' drivers, and how the pixels lie in a buffer.
+//! The depth formats of Linux drivers, and the layout of the pixels in a buffer.
 //!
 //! After the kernel's documentation of V4L2, "Depth Formats": Z16 has 16 bits a pixel, little-endian; INZI has two planes of the
 //! same size one after the other, infrared and then depth as Z16. Y16 is grey of 16 bits: some cameras send depth as that.
@@ -20,11 +20,11 @@ pub enum DepthFormat {
 }
 
 impl DepthFormat {
-    /// Those that are depth for certain, the best first.
+    /// Formats that always hold depth, the preferred one first.
     pub const CERTAIN: [Self; 2] = [Self::Z16, Self::Inzi];
     const ALL: [Self; 3] = [Self::Z16, Self::Inzi, Self::Y16];
 
-    /// Its four letters in V4L2.
+    /// The format's four letters in V4L2.
     pub const fn fourcc(self) -> [u8; 4] {
         match self {
             Self::Z16 => *b"Z16 ",
@@ -33,12 +33,12 @@ impl DepthFormat {
         }
     }
 
-    /// The format with these letters.
+    /// Returns the format with these letters.
     pub fn of(fourcc: [u8; 4]) -> Option<Self> {
         Self::ALL.into_iter().find(|format| format.fourcc() == fourcc)
     }
 
-    /// Its word in a pipeline file.
+    /// The format's word in a pipeline file.
     pub const fn word(self) -> &'static str {
         match self {
             Self::Z16 => "z16",
@@ -48,25 +48,25 @@ impl DepthFormat {
     }
 }
 
-/// How the images of a stream lie in its buffers.
+/// The layout of a stream's images in its buffers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Layout {
-    /// What a pixel is.
+    /// Pixel format.
     pub format: DepthFormat,
     /// Columns.
     pub width: u32,
     /// Rows.
     pub height: u32,
-    /// Bytes from a row to the next, where the driver tells; 0: they lie without gaps.
+    /// Bytes from one row to the next, as the driver reports them; 0: rows have no gaps.
     pub bytes_per_line: u32,
 }
 
-/// A buffer that is shorter than an image.
+/// Error for a buffer that is shorter than an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Short {
-    /// Bytes that came.
+    /// Number of bytes in the buffer.
     pub bytes: usize,
-    /// Bytes of an image.
+    /// Number of bytes of an image.
     pub expected: usize,
 }
 
@@ -85,11 +85,11 @@ impl Layout {
     /// Copies the depths of a buffer.
     ///
     /// # Errors
-    /// It ends before the image does.
+    /// The buffer ends before the image does.
     pub fn unpack(&self, buffer: &[u8], image: &mut [u16]) -> Result<(), Short> {
         let row = self.width as usize * 2;
         let (begin, stride) = match self.format {
-            // Its lines count four bytes a pixel, though the planes lie one after the other.
+            // INZI's bytes per line count both planes, although one follows the other.
             DepthFormat::Inzi => (row * self.height as usize, row),
             DepthFormat::Z16 | DepthFormat::Y16 => (0, row.max(self.bytes_per_line as usize)),
         };

@@ -1,6 +1,6 @@
-//! The images of a video device as long as a run lasts: it is found, opened, watched, and opened anew when it stalls or is gone.
+//! Takes the images of a video device for a whole run: finds the device, opens it, and opens it again after a stall or loss.
 //!
-//! Here is no call to the kernel. What goes wrong is told once, until it changes.
+//! This file makes no calls to the kernel. A problem is logged once, until it changes.
 
 use super::device::{Driver, Found, Mode, Stream};
 use super::format::{DepthFormat, Layout};
@@ -12,32 +12,32 @@ use std::time::{Duration, Instant};
 const UNREADABLE: &str = "frames unreadable";
 const OPENED: &str = "camera opened anew";
 
-/// So long is waited for an image before it is looked around.
+/// Longest wait for an image before the grabber checks for a stop or a stall.
 const IMAGE_TIMEOUT: Duration = Duration::from_millis(50);
-/// How often is tried to open a device that is not there.
+/// Period of attempts to open a missing device.
 const TRY_AGAIN: Duration = Duration::from_secs(1);
 
-/// What is asked of the device.
+/// The requested device and mode.
 #[derive(Clone, Debug, Default)]
 pub struct Wanted {
-    /// Its file, or a part of its name; none: the only one with depths.
+    /// The device's path or a part of its name; none: the only device with depths.
     pub device: Option<String>,
-    /// What a pixel is; none: what is depth for certain.
+    /// Pixel format; none: a format that always holds depth.
     pub format: Option<DepthFormat>,
     /// Columns and rows; none: as the device prefers.
     pub size: Option<(u32, u32)>,
     /// Images per second; none: as the device chooses.
     pub fps: Option<f64>,
-    /// After so long without an image it is opened anew.
+    /// Time without an image after which the device is opened again.
     pub stall: Duration,
 }
 
-/// Where an image goes, and what is counted.
+/// Destination of the images and counts.
 pub trait ImageOutput {
-    /// Memory for so many pixels.
+    /// Loans memory for this number of pixels.
     ///
     /// # Errors
-    /// There is none left.
+    /// There is no memory left.
     fn image(&mut self, pixels: usize) -> Result<&mut [u16], StageError>;
 
     /// Adds to a counter.
@@ -54,43 +54,43 @@ impl ImageOutput for Output<'_, u16> {
     }
 }
 
-/// A device that is open.
+/// An open device.
 struct Opened<S> {
     found: Found,
     layout: Layout,
     stream: S,
 }
 
-/// Images of a device.
+/// Takes images from a device.
 pub struct Grabber<D: Driver> {
     driver: D,
     wanted: Wanted,
     opened: Option<Opened<D::Stream>>,
     has_opened: bool,
-    /// When the last image came, and when to try to open the device.
+    /// When the last image came; `due` is when to try again to open the device.
     heard: Instant,
     due: Instant,
     told: Option<String>,
-    /// The median of the first image that has one.
+    /// Median depth of the first image with valid depths.
     median: Option<u16>,
     try_again: Duration,
     stop: Stop,
 }
 
 impl<D: Driver> Grabber<D> {
-    /// Nothing is opened before an image is asked for.
+    /// Creates a grabber; the device is opened when the first image is asked for.
     pub fn new(driver: D, wanted: Wanted, stop: Stop) -> Self {
         let now = Instant::now();
         let (opened, has_opened, told, median, try_again) = (None, false, None, None, TRY_AGAIN);
         Self { driver, wanted, opened, has_opened, heard: now, due: now, told, median, try_again, stop }
     }
 
-    /// Puts the next image into its place, and tells how it lies; none where the run is over.
+    /// Writes the next image to `output` and returns its layout; none at the end of the run.
     ///
     /// # Errors
-    /// There is no memory, or the device cannot send what is asked for.
+    /// There is no memory left, or the device does not offer the requested mode.
     pub fn next(&mut self, output: &mut dyn ImageOutput) -> Result<Option<Layout>, StageError> {
-        // That the pipeline had no room is no silence of the camera.
+        // Time in which the pipeline had no room does not count as silence of the camera.
         self.heard = Instant::now();
         while !self.stop.requested() {
             if self.opened.is_none() {
@@ -102,12 +102,12 @@ impl<D: Driver> Grabber<D> {
         Ok(None)
     }
 
-    /// The name of the device that is open.
+    /// The name of the open device.
     pub fn name(&self) -> &str {
         self.opened.as_ref().map_or("", |opened| &opened.found.name)
     }
 
-    /// The median of the first image that has one.
+    /// The median depth of the first image with valid depths.
     pub fn median(&self) -> Option<u16> {
         self.median
     }
@@ -130,7 +130,7 @@ impl<D: Driver> Grabber<D> {
                 (self.opened, self.has_opened, self.heard) = (Some(opened), true, Instant::now());
                 Ok(())
             }
-            // To try again would not help, unless it is another camera that was plugged in meanwhile.
+            // A lasting fault ends the stage, unless a camera was open before: another one may have been plugged in meanwhile.
             Err(fault) if fault.lasts && !self.has_opened => Err(fault.into()),
             Err(fault) => {
                 self.warn(&format!("{fault}\n  the stage waits for the camera"));
@@ -156,7 +156,7 @@ impl<D: Driver> Grabber<D> {
         Ok(Opened { found, layout, stream })
     }
 
-    /// The device that is asked for; where several fit, nobody chooses for the user.
+    /// Finds the requested device; it is an error if several fit.
     fn find(&self) -> Result<Found, Hinted> {
         let mut devices = self.driver.devices();
         let fits = |found: &Found| found.modes.iter().any(|mode| self.is_format(mode));
@@ -188,7 +188,7 @@ impl<D: Driver> Grabber<D> {
         }
     }
 
-    /// What the device is asked for: the size and the rate that are wanted, of several formats the best, else its first.
+    /// Returns the mode to request: the first with the wanted size and rate, in the best of its formats.
     fn mode(&self, found: &Found) -> Result<Mode, Hinted> {
         let is_size = |mode: &&Mode| self.wanted.size.is_none_or(|size| size == (mode.width, mode.height));
         let is_rate = |rate: f64| self.wanted.fps.is_none_or(|fps| (fps - rate).abs() < 0.5);
@@ -207,7 +207,7 @@ impl<D: Driver> Grabber<D> {
         Ok(Mode { rates_hz: self.wanted.fps.into_iter().collect(), ..(*mode).clone() })
     }
 
-    /// Takes an image, if one comes soon.
+    /// Takes an image if one comes within the timeout.
     fn take(&mut self, output: &mut dyn ImageOutput) -> Result<Option<Layout>, StageError> {
         let Some(Opened { found, layout, stream }) = &mut self.opened else { return Ok(None) };
         let (layout, name) = (*layout, found.name.clone());
@@ -252,7 +252,7 @@ impl<D: Driver> Grabber<D> {
         self.warn(&format!("{what}\n  it is opened anew as soon as it is there"));
     }
 
-    /// Warns, unless that was the last that was told. Numbers change, what is wrong does not.
+    /// Logs a warning, unless it differs from the last one only in its numbers.
     fn warn(&mut self, text: &str) {
         let key: String = text.chars().filter(|letter| !letter.is_ascii_digit()).collect();
         if self.told.as_ref() != Some(&key) {
@@ -266,7 +266,7 @@ fn listed(modes: &[Mode]) -> String {
     modes.iter().map(Mode::to_string).collect::<Vec<_>>().join("; ")
 }
 
-/// Whether a device has this path, also by a link as in /dev/v4l/by-id, or this in its name.
+/// Whether a device has this path, also through a link as in /dev/v4l/by-id, or this text in its name.
 fn is_named(found: &Found, name: &str) -> bool {
     if !name.contains('/') {
         return found.name.to_lowercase().contains(&name.to_lowercase());

@@ -1,4 +1,4 @@
-//! The grabber with a stand-in for the kernel, which does what a script says.
+//! Tests of the grabber with a scripted stand-in for the kernel.
 
 use super::*;
 use std::cell::RefCell;
@@ -8,24 +8,24 @@ use std::rc::Rc;
 
 const NO_SUCH_DEVICE: i32 = 19;
 
-/// What happens at a look into a device.
+/// The event that a read from the device meets.
 #[derive(Clone)]
 enum Event {
-    /// An image whose pixels are all this.
+    /// An image whose pixels all have this value.
     Image(u16),
-    /// Bytes that are no whole image.
+    /// An incomplete image.
     Bytes(Vec<u8>),
     Damaged(u16),
     Silence,
     Unplugged,
 }
 
-/// What happens when the device is looked for and opened.
+/// The outcome of an attempt to find and open the device.
 #[derive(Clone)]
 enum Attempt {
     Nothing,
     Busy,
-    /// It is there, with modes of its own, and does this.
+    /// The device is there with these modes, and these events follow.
     Device(Vec<Mode>, Vec<Event>),
 }
 
@@ -33,7 +33,7 @@ enum Attempt {
 struct Script {
     attempts: Rc<RefCell<VecDeque<Attempt>>>,
     asked: Rc<RefCell<Vec<Mode>>>,
-    /// Raised when all has happened.
+    /// Requested when the script is at its end.
     stop: Stop,
 }
 
@@ -69,7 +69,7 @@ impl Driver for Script {
         let Some(Attempt::Device(modes, events)) = self.attempts.borrow_mut().pop_front() else {
             return Err(io::Error::from(io::ErrorKind::ResourceBusy));
         };
-        // A driver gives what it has.
+        // The driver uses its first mode, whatever was requested.
         let Mode { format, width, height, .. } = modes[0];
         let layout = Layout { format, width, height, bytes_per_line: width * 2 + 2 };
         Ok((layout, Played { layout, events: events.into(), script: self.clone() }))
@@ -123,13 +123,13 @@ impl ImageOutput for Images {
     }
 }
 
-/// What a run over a script came to.
+/// The results of a run with a script.
 struct Outcome {
     /// Number of pixels and the value of all of them.
     images: Vec<(usize, u16)>,
     counted: BTreeMap<&'static str, u64>,
     asked: Vec<Mode>,
-    /// What was told last, without its numbers.
+    /// The last warning, without its numbers.
     told: Option<String>,
     refused: Option<String>,
 }

@@ -1,7 +1,7 @@
-//! The source that takes depth images from a camera that Linux has a driver for, by V4L2.
+//! Takes depth images from a camera with a Linux driver, through V4L2.
 //!
-//! V4L2 knows neither the intrinsics of a camera nor the unit of its depths: the pipeline file tells them. [`grabber`] watches
-//! the camera, [`device`] is the kernel, [`format`] tells how pixels lie.
+//! V4L2 reports neither a camera's intrinsics nor the unit of its depths; the pipeline file gives them. [`grabber`] watches the
+//! camera, [`device`] calls the kernel, [`format`] describes the layout of the pixels.
 
 mod device;
 mod format;
@@ -28,7 +28,7 @@ pub struct Config {
     /// The camera: its path, such as `/dev/video2` or one in /dev/v4l/by-id, or a part of its name; default: the only one with
     /// depths. `conicflow doctor` lists them.
     pub device: Option<String>,
-    /// What a pixel is; default: `z16`, else `inzi`. `y16` is grey, which some cameras use for depth.
+    /// Pixel format; default: `z16`, else `inzi`. `y16` is grey, which some cameras use for depth.
     pub format: Option<DepthFormat>,
     /// Columns; default: as the camera prefers.
     #[schemars(range(min = 1, max = 16384))]
@@ -45,7 +45,7 @@ pub struct Config {
     /// pixels that looks through the middle of its images.
     #[schemars(range(min = 1.0, max = 170.0))]
     pub fov_deg: Option<f64>,
-    /// Metres per unit of a pixel; V4L2 does not tell.
+    /// Metres per unit of a pixel; V4L2 does not report it.
     #[schemars(range(min = 0.0))]
     pub depth_scale: f64,
     /// Depth noise of the sensor: a name (`kinect_v1`, `realsense_d435`, `time_of_flight`, `ideal`) or a table.
@@ -106,7 +106,7 @@ impl Config {
         Wanted { device: self.device.clone(), format: self.format, size: self.size(), fps: self.fps, stall }
     }
 
-    /// The camera of images of this size.
+    /// Returns the camera for images of this size.
     fn camera(&self, (width, height): (u32, u32)) -> Camera {
         if let Some(intrinsics) = self.intrinsics {
             return intrinsics.camera((width, height));
@@ -149,7 +149,7 @@ impl Source for V4l2Source {
 
     fn next(&mut self, _: &SideInputs, output: &mut Output<u16>) -> Result<Next, StageError> {
         let Some(layout) = self.grabber.next(output)? else { return Ok(Next::End) };
-        // `linuxvideo` does not tell the kernel's stamp; that of the moment at which the image came is a little later.
+        // `linuxvideo` does not give the kernel's time stamp; the time of arrival is slightly later.
         let stamp_ns = unix_ns();
         output.header = Header {
             camera: self.config.camera((layout.width, layout.height)),

@@ -1,38 +1,38 @@
 //! Cylinders and cones: a line through the centres, and the radius over the position along it.
 //!
-//! The extents of a section depend on how the axis is tilted to its plane, and the centres of a cone's sections lie
-//! beside its axis; both are known exactly (`conicflow_geometry::SectionShape`), so the fit starts from the line through
-//! the centres and is repeated with the axis and half-angle that it gave: then it is the line through the points where
-//! the axis pierces the planes, and the radius there is exactly linear in the position.
+//! The extents of a section depend on the tilt of the axis to its plane, and the centres of a cone's sections lie beside its
+//! axis; both are known exactly (`conicflow_geometry::SectionShape`). So the fit starts with the line through the centres, and is
+//! repeated with the resulting axis and half-angle. It is then the line through the points where the axis pierces the planes, and
+//! the radius is exactly linear in the position.
 
 use super::rejection::Rejection;
 use super::verify::{Body, Candidate, Solid};
 use conicflow_geometry::{Conical, Line, PencilMoments, Regression, Vector3};
 use conicflow_messages::ObjectKind;
 
-/// Repetitions of the fit; each takes the error of axis and half-angle down by far more than a factor of ten.
+/// Number of passes; each reduces the error of axis and half-angle by far more than a factor of ten.
 const PASSES: usize = 6;
-/// Greatest half-angle of a pass in radians, if not a tenth above what is asked for: the first may overshoot where the axis
-/// is still far off.
+/// Largest half-angle of a pass in radians, unless the limit plus a tenth is larger: the first pass may overshoot while the axis
+/// is far off.
 const BLUNTEST: f64 = 0.6;
 
-/// Axis and half-angle, as far as they are known; half-angle 0 for a cylinder.
+/// The current axis and half-angle; half-angle 0 for a cylinder.
 #[derive(Clone, Copy, Debug)]
 struct Pose {
     axis: Vector3,
     half_angle: f64,
 }
 
-/// The centres and radii of a candidate, seen with one pose.
+/// The centres and radii of a candidate for one pose.
 #[derive(Clone, Copy, Debug)]
 struct Skeleton {
-    /// The line through the centres, towards growing line numbers.
+    /// The line through the centres, in the direction of growing line numbers.
     line: Line,
-    /// The semi-minor axes of the sections over their position along the axis.
+    /// The radii of the sections over their position along the axis.
     profile: Regression,
 }
 
-/// Fits a cylinder: the radius is the same all along the axis.
+/// Fits a cylinder, which has the same radius all along the axis.
 pub(super) fn fit_cylinder(candidate: &Candidate) -> Result<Body, Rejection> {
     let (pose, skeleton) = fit(candidate, |_, skeleton| Ok(Pose { axis: skeleton.line.direction, half_angle: 0.0 }))?;
     let scatter = skeleton.profile.deviation();
@@ -40,7 +40,7 @@ pub(super) fn fit_cylinder(candidate: &Candidate) -> Result<Body, Rejection> {
     Ok(cylinder(candidate, &skeleton, &pose))
 }
 
-/// Fits a cone, if the slope of the profile asks for one.
+/// Fits a cone, if the profile has a slope.
 pub(super) fn fit_cone(candidate: &Candidate) -> Result<Body, Rejection> {
     let [least, most] =
         [candidate.config.profile.min_half_angle_deg, candidate.config.common.max_half_angle_deg].map(f64::to_radians);
@@ -57,7 +57,7 @@ pub(super) fn fit_cone(candidate: &Candidate) -> Result<Body, Rejection> {
     cone(candidate, &skeleton, &pose)
 }
 
-/// Starts from the line through the centres as found; `turn` gives the next axis and half-angle.
+/// Fits axis and profile, from the line through the raw centres; `turn` gives axis and half-angle of the next pass.
 fn fit(
     candidate: &Candidate,
     turn: impl Fn(&Pose, &Skeleton) -> Result<Pose, Rejection>,
@@ -84,7 +84,7 @@ fn check_scatter(candidate: &Candidate, skeleton: &Skeleton, radius_scatter: f64
     }
 }
 
-/// Radii over positions; a section stands where its plane meets the line so far.
+/// Returns radii over positions; the position of a section is where its plane meets the current line.
 fn profile(candidate: &Candidate, line: &Line, pose: &Pose) -> Result<Regression, Rejection> {
     let mut pairs = Regression::default();
     for section in candidate.sections() {
@@ -94,15 +94,15 @@ fn profile(candidate: &Candidate, line: &Line, pose: &Pose) -> Result<Regression
     Ok(pairs)
 }
 
-/// The line through the centres as found.
+/// Returns the line through the centres as the extractor found them.
 fn raw_line(candidate: &Candidate) -> Result<Line, Rejection> {
     let mut sums = PencilMoments::new(candidate.middle().plane.scan());
     candidate.sections().for_each(|section| sums.add(&section.plane, section.plane_center));
     sums.fit().ok_or(Rejection::Degenerate)
 }
 
-/// The axis, through the piercing points; each is put behind the front of its arc by the radius that the profile gives
-/// it: an arc tells its front far better than its radius, and an error of the radius would move the centre as much.
+/// Returns the axis, as the line through the piercing points. Each is placed behind the front of its arc by the radius of the
+/// profile: an arc determines its front far better than its radius, whose error would move the centre by the same amount.
 fn axis_line(candidate: &Candidate, so_far: &Skeleton, pose: &Pose) -> Result<Line, Rejection> {
     let profile = so_far.profile.fit().ok_or(Rejection::Degenerate)?;
     let mut sums = PencilMoments::new(candidate.middle().plane.scan());
@@ -115,11 +115,11 @@ fn axis_line(candidate: &Candidate, so_far: &Skeleton, pose: &Pose) -> Result<Li
     sums.fit().ok_or(Rejection::Degenerate)
 }
 
-/// Axis and half-angle that the slope of the profile asks for; the axis of a cone points away from its apex.
+/// Returns axis and half-angle according to the slope of the profile; the axis of a cone points away from its apex.
 fn lean(skeleton: &Skeleton, pose: &Pose, bluntest: f64) -> Result<Pose, Rejection> {
     let slope = skeleton.profile.fit().ok_or(Rejection::Degenerate)?.slope;
     let half_angle = slope.abs().atan().min(bluntest);
-    // Positions count along the pose's axis; the line points towards growing line numbers.
+    // Positions count along the pose's axis, but the line points towards growing line numbers.
     let outwards = pose.axis * slope.signum();
     let direction = skeleton.line.direction;
     Ok(Pose { axis: direction * direction.dot(&outwards).signum(), half_angle })

@@ -1,12 +1,12 @@
-//! Connected components by the proximity of centres: chains with at most one section a line.
+//! Connected components by the distance of centres: chains with at most one section per line.
 //!
-//! A section joins the chain that has the nearest centre among its last k members, if that is within the margin phi;
-//! so a chain outlives a few noisy lines, and a noisy section does not end it.
+//! A section joins the chain with the nearest centre among its last k members, if that is within the margin phi. So a chain
+//! survives a few noisy lines, and a noisy section does not end it.
 
 use super::parameters::ProfileConfig;
 use super::sections::Section;
 
-/// The chains of the sections, which are in the order of the lines; each is a list of indices in that order.
+/// Returns the chains of the sections, which are sorted by line; each chain is a list of indices in that order.
 pub(super) fn link(sections: &[Section], config: &ProfileConfig) -> Vec<Vec<usize>> {
     let mut chains: Vec<Vec<usize>> = Vec::new();
     // Chains that may still grow.
@@ -29,12 +29,12 @@ pub(super) fn link(sections: &[Section], config: &ProfileConfig) -> Vec<Vec<usiz
     chains
 }
 
-/// Whether a chain that ends with a section does not end too far before the line of another one.
+/// Whether the line of a section is near enough to the last one of a chain.
 fn reaches(last: &Section, section: &Section, config: &ProfileConfig) -> bool {
     last.plane.scan() == section.plane.scan() && section.line - last.line <= config.profile.max_gap_lines
 }
 
-/// Distance of two centres, if they are of different lines and within the margin.
+/// Returns the distance of two centres, if they are on different lines and within the margin.
 fn step(a: &Section, b: &Section, config: &ProfileConfig) -> Option<f64> {
     let lines = f64::from(b.line - a.line);
     let radius = a.radius.min(b.radius);

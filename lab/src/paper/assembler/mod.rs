@@ -1,7 +1,7 @@
-//! The paper's way: ellipses of neighbouring scan lines with near centres form chains ([`chains`]); along a chain the centres
-//! have to stay on a line or a circle and the radii on a straight or a circular profile, else the object ends and a new one
-//! begins ([`sequence`]); what held together is fitted as a cylinder, a cone ([`axial`]) or a sphere ([`spherical`]) and
-//! verified against the points, of which the ellipses carry the moments ([`verify`]). No point is seen again.
+//! The paper's method: ellipses of neighbouring scan lines with near centres form chains ([`chains`]). Along a chain the centres
+//! have to stay on a line or a circle, and the radii on a straight or circular profile; else the object ends and a new one begins
+//! ([`sequence`]). Each sequence is fitted as a cylinder, a cone ([`axial`]) or a sphere ([`spherical`]), and verified against
+//! the points, whose moments the ellipses carry ([`verify`]). The points themselves are not needed again.
 
 mod axial;
 mod chains;
@@ -31,12 +31,12 @@ pub struct ProfileAssembler {
 }
 
 impl ProfileAssembler {
-    /// An assembler with these parameters.
+    /// Creates an assembler with these parameters.
     pub fn new(config: ProfileConfig) -> Self {
         Self { config, objects: Vec::new(), rejections: Rejections::default() }
     }
 
-    /// The objects that the ellipses of one image form.
+    /// Returns the objects that the ellipses of one image form.
     pub fn assemble(&mut self, header: &Header, ellipses: &[Ellipse]) -> &[Object] {
         self.objects.clear();
         self.rejections = Rejections::default();
@@ -50,7 +50,7 @@ impl ProfileAssembler {
         &self.objects
     }
 
-    /// Adds the objects of a sequence: what lies before and after one is looked at again.
+    /// Adds the objects of a sequence; searches the sections before and after each object again.
     fn search(&mut self, sections: &[Section], members: &[usize], noise: &NoiseModel) {
         match Candidate::new(sections, members, noise, &self.config).and_then(|candidate| object(&candidate)) {
             Ok((object, range)) => {
@@ -65,18 +65,18 @@ impl ProfileAssembler {
         }
     }
 
-    /// Why candidates of the last image were turned down, and how many of them.
+    /// Returns the reasons for rejected candidates of the last image, and their counts.
     pub fn rejections(&self) -> impl Iterator<Item = (&'static str, u64)> {
         self.rejections.iter()
     }
 }
 
-/// Parts of a sequence that a fit starts from, where the whole is spoilt by its ends: a rim, a foot on the floor.
+/// Parts of a sequence with which a fit starts, in case its ends spoil the whole: a rim, or a foot on the floor.
 const SEEDS: [(f64, f64); 4] = [(0.0, 1.0), (0.25, 0.75), (0.0, 0.5), (0.5, 1.0)];
 
-/// The first object that a sequence of sections forms, and where in the sequence, or why it forms none.
+/// Returns the first object that a sequence of sections forms and its range, or the reason why it forms none.
 ///
-/// The first seed that forms one is fitted again with all sections around it that it explains.
+/// The first seed that forms an object is fitted again with all surrounding sections that it explains.
 fn object(candidate: &Candidate) -> Result<(Object, Range<usize>), Rejection> {
     let mut whole = None;
     for (from, to) in SEEDS {
@@ -93,9 +93,9 @@ fn object(candidate: &Candidate) -> Result<(Object, Range<usize>), Rejection> {
     Err(whole.unwrap_or(Rejection::Degenerate))
 }
 
-/// The shape that explains the points best, among those that explain them at all.
+/// Returns the shape that explains the points best, if any does.
 ///
-/// A cone has one parameter more than a cylinder: it has to explain the points clearly better than the others.
+/// A cone has one parameter more than a cylinder, so that it has to explain the points clearly better than the others.
 fn best(candidate: &Candidate) -> Result<(Object, Solid), Rejection> {
     let verified = |body: Body| candidate.verify(&body).map(|object| (object, body.solid));
     let cylinder = axial::fit_cylinder(candidate).and_then(verified);
@@ -104,7 +104,7 @@ fn best(candidate: &Candidate) -> Result<(Object, Solid), Rejection> {
     better(better(cylinder, sphere, 1.0), cone, candidate.config.profile.cone_gain)
 }
 
-/// The second of two where its residual is less than `gain` times that of the first, or the first is none.
+/// Returns the second of two if its residual is less than `gain` times that of the first, or if the first is an error.
 fn better<T>(
     first: Result<(Object, T), Rejection>,
     second: Result<(Object, T), Rejection>,

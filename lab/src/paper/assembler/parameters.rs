@@ -1,17 +1,17 @@
-//! Parameters of `method = "profile"`, the paper's.
+//! Parameters of the paper's method, `method = "profile"`.
 
 use conicflow_detection::AssemblerParameters;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// What is taken for the section of a body by a scan plane.
+/// The shape that is fitted to a body's section by a scan plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SectionFit {
-    /// The ellipse as the extractor found it, as in the paper. The paper names the radius r2, along the view; but what it
-    /// measures at a distance is what the other one gives, and that is taken.
+    /// The ellipse as the extractor found it, as in the paper. The paper names the radius r2, along the view; but the figures
+    /// that it reports follow from the other one, which is used.
     Ellipse,
-    /// An ellipse of the axis ratio that the axis of the body implies, fitted anew to the arc's moments.
+    /// An ellipse with the axis ratio that follows from the body's axis, fitted anew to the arc's moments.
     #[default]
     Circle,
 }
@@ -31,8 +31,7 @@ pub struct ProfileParameters {
     /// The paper's k: number of neighbours that an ellipse is compared with, and of noisy ones that an object survives.
     #[schemars(range(min = 1, max = 64))]
     pub neighbors: u32,
-    /// Largest difference of the numbers of neighbouring scan lines; of those that the extractor looks at, as wherever lines
-    /// are counted.
+    /// Largest difference of the numbers of neighbouring scan lines, among those that the extractor uses.
     #[schemars(range(min = 1, max = 64))]
     pub max_gap_lines: u32,
     /// Largest scatter of centres about their line or circle, as a part of the radius.
@@ -65,8 +64,7 @@ pub struct ProfileParameters {
     /// Largest root mean square distance of the points from the surface, in standard deviations of the sensor ...
     #[schemars(range(min = 0.1, max = 20.0))]
     pub max_rms_sigmas: f64,
-    /// ... plus this many radii, for the error of the radius; of `section_fit = "ellipse"` that is known, and this has no
-    /// effect.
+    /// ... plus this many radii, for the error of the radius; no effect with `section_fit = "ellipse"`, whose error is known.
     #[schemars(range(min = 0.0, max = 0.5))]
     pub max_rms_radii: f64,
     /// Least root mean square distance of the points of a section from a straight line, in standard deviations of the
@@ -99,17 +97,17 @@ impl Default for ProfileParameters {
     }
 }
 
-/// All that the assembler goes by.
+/// All parameters of the assembler.
 #[derive(Clone, Debug, Default)]
 pub struct ProfileConfig {
-    /// What every assembler has.
+    /// The parameters of every assembler.
     pub common: AssemblerParameters,
-    /// What this one has alone.
+    /// The parameters of this one only.
     pub profile: ProfileParameters,
 }
 
 impl ProfileConfig {
-    /// The paper's method, with sections as the extractor found them.
+    /// Returns the parameters of the paper's method, with sections as the extractor found them.
     pub fn of_the_paper() -> Self {
         let profile = ProfileParameters { section_fit: SectionFit::Ellipse, ..ProfileParameters::default() };
         Self { common: AssemblerParameters::default(), profile }

@@ -1,7 +1,7 @@
-//! Why candidates are no objects.
+//! Reasons for rejecting candidates.
 
 conicflow_detection::rejections! {
-    /// Why a candidate is turned down.
+    /// The reason for rejecting a candidate.
     Rejection, Rejections:
     FewRows => "candidates of too few rows",
     Gaps => "candidates with too many gaps",

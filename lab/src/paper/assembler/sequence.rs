@@ -1,21 +1,21 @@
-//! Splits a chain where it stops being one body: the incremental tests of the paper, O(1) a section.
+//! Splits a chain where a body ends: the incremental tests of the paper, O(1) per section.
 //!
-//! Two hypotheses are followed side by side. Axial: the centres lie on a line, and the radius is linear in the position
-//! along it. Spherical: the centres are feet of perpendiculars from one point on the pencil of scan planes, so
-//! `t k = Cy y + Cz` is linear in the slope y of the plane and s is constant (they are concyclic with the camera, see
-//! `conicflow_geometry`), and the radii lie on a circle. As long as one of them foresees the next section, it belongs to
-//! the body; a hypothesis whose own sections scatter too much is dead, and k sections in a row that none foresees end it.
+//! Two hypotheses are tracked in parallel. Axial: the centres lie on a line, and the radius is linear in the position along it.
+//! Spherical: the centres are the feet of perpendiculars from one point on the pencil of scan planes, so `t k = Cy y + Cz` is
+//! linear in the slope y of the plane and s is constant (they are concyclic with the camera, see `conicflow_geometry`), and the
+//! radii lie on a circle. A section belongs to the body as long as one of the hypotheses predicts it. A hypothesis is dropped if
+//! its own sections scatter too much; k consecutive sections that no hypothesis predicts end the body.
 
 use super::parameters::ProfileConfig;
 use super::sections::Section;
 use conicflow_geometry::{LineMoments, PlaneMoments, Regression, fit_circle_profile, fit_line_profile};
 
-/// How many sections are taken on trust before the hypotheses have something to foresee from.
+/// Number of sections that are accepted before the hypotheses can predict.
 const TRUSTED: usize = 5;
-/// How many standard deviations a section may be off.
+/// Gate of a predicted section, in standard deviations.
 const GATE_SIGMAS: f64 = 3.0;
 
-/// The bodies of a chain, each a list of indices.
+/// Splits a chain into bodies, each a list of indices.
 pub(super) fn split(sections: &[Section], chain: &[usize], config: &ProfileConfig) -> Vec<Vec<usize>> {
     let (mut bodies, mut rest) = (Vec::new(), chain);
     while !rest.is_empty() {
@@ -26,7 +26,7 @@ pub(super) fn split(sections: &[Section], chain: &[usize], config: &ProfileConfi
     bodies
 }
 
-/// The sections at the start of `chain` that form one body, and where the next one starts.
+/// Returns the sections at the start of `chain` that form one body, and where the next one starts.
 fn grow(sections: &[Section], chain: &[usize], config: &ProfileConfig) -> (Vec<usize>, usize) {
     let (mut members, mut end) = (Vec::new(), 0);
     let mut sums = Sums::new(&sections[chain[0]]);
@@ -49,7 +49,7 @@ struct Sums {
     centers: LineMoments,
     sides: Regression,
     feet: Regression,
-    /// Pairs of position and radius. The position is an angle times a fixed distance, so that it needs no axis.
+    /// Pairs of position and radius; the position is an angle times a fixed distance, so that no axis is needed.
     profile: PlaneMoments,
     distance: f64,
 }
@@ -70,7 +70,7 @@ impl Sums {
         self.profile.add(self.place(section));
     }
 
-    /// Position and radius.
+    /// Returns position and radius of a section.
     fn place(&self, section: &Section) -> [f64; 2] {
         [self.distance * section.plane.angle(), section.radius]
     }

@@ -1,9 +1,9 @@
-//! Spheres: sections by a pencil of planes, whose centres are the feet of the perpendiculars from the sphere's centre.
+//! Spheres: sections by a pencil of planes, with their centres at the feet of the perpendiculars from the sphere's centre.
 //!
-//! Let the centre lie at the distance rho from the pencil's axis, under the angle theta_C, and a plane under theta_i.
-//! Then the section's centre is at `t_i = rho cos(theta_i - theta_C)`, its distance from the sphere's centre is
-//! `z_i = rho sin(theta_i - theta_C)`, and its radius `sqrt(R^2 - z_i^2)`: the paper's circle in (z, r). The angle is
-//! unknown at first; starting from the middle of the sections, each pass moves it to the centre of the circle found.
+//! Let the centre have the distance rho from the pencil's axis and the angle theta_C, and a plane the angle theta_i. Then the
+//! section's centre is at `t_i = rho cos(theta_i - theta_C)`, its distance from the sphere's centre is `z_i = rho sin(theta_i -
+//! theta_C)`, and its radius is `sqrt(R^2 - z_i^2)`: the paper's circle in (z, r). The angle theta_C is unknown at first: it
+//! starts at the middle of the sections, and each pass moves it to the centre of the fitted circle.
 
 use super::parameters::SectionFit;
 use super::rejection::Rejection;
@@ -12,7 +12,7 @@ use super::verify::{Body, Candidate, Solid};
 use conicflow_geometry::{CircleProfile, Conical, PlaneMoments, Regression, ScanPlane, Vector3, fit_circle_profile};
 use conicflow_messages::ObjectKind;
 
-/// Repetitions of the fit; the first order is exact up to a few parts in a thousand.
+/// Number of passes; the first-order result is exact to a few parts in a thousand.
 const PASSES: usize = 4;
 
 /// Fits a sphere.
@@ -30,7 +30,7 @@ pub(super) fn fit(candidate: &Candidate) -> Result<Body, Rejection> {
     body(candidate, &profile, angle)
 }
 
-/// Distance of the sphere's centre from the axis of the pencil, as one section tells it.
+/// Returns the distance of the sphere's centre from the axis of the pencil, according to one section.
 fn distance(section: &Section, angle: f64) -> f64 {
     section.plane_center[1] / (section.plane.angle() - angle).cos()
 }
@@ -39,7 +39,7 @@ fn mean_distance(candidate: &Candidate, angle: f64) -> f64 {
     candidate.mean(|section| distance(section, angle))
 }
 
-/// Radii over positions, counted from the plane under `angle`.
+/// Fits a circle to radii over positions, counted from the plane at `angle`.
 fn circle(candidate: &Candidate, angle: f64) -> Result<CircleProfile, Rejection> {
     let distance = mean_distance(candidate, angle);
     let pairs = candidate.sections().map(|section| {
@@ -49,7 +49,7 @@ fn circle(candidate: &Candidate, angle: f64) -> Result<CircleProfile, Rejection>
     fit_circle_profile(&PlaneMoments::of([0.0, 0.0], pairs)).ok_or(Rejection::Degenerate)
 }
 
-/// A cap tells too little: the sections have to reach both sides of the centre, and far enough.
+/// Rejects caps, which determine too little: the sections have to reach both sides of the centre, and far enough.
 fn check_extent(candidate: &Candidate, profile: &CircleProfile, angle: f64) -> Result<(), Rejection> {
     let distance = mean_distance(candidate, angle);
     let positions = candidate.ends().map(|section| distance * (section.plane.angle() - angle).sin());
@@ -63,7 +63,7 @@ fn body(candidate: &Candidate, profile: &CircleProfile, angle: f64) -> Result<Bo
     let (mut sides, mut distances) = (Regression::default(), Regression::default());
     let mean = mean_distance(candidate, angle);
     for section in candidate.sections() {
-        // As with axial bodies: the front of the arc is known better than its radius.
+        // As for axial bodies, the front of the arc is known better than its radius.
         let position = mean * (section.plane.angle() - angle).sin();
         let shift = if section.fit == SectionFit::Circle { profile.at(position) - section.radius } else { 0.0 };
         let cosine = (section.plane.angle() - angle).cos();

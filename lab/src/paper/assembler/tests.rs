@@ -9,7 +9,7 @@ use conicflow_messages::{Camera, Item, NoiseModel, ObjectKind};
 
 const KINECT: Camera = Camera { width: 640, height: 480, fx: 580.0, fy: 580.0, cx: 319.5, cy: 239.5 };
 
-/// The paper's method, with sections of the shape that the axis implies.
+/// The paper's method, with sections of the shape that follows from the axis.
 fn profile() -> ProfileConfig {
     ProfileConfig::default()
 }
@@ -91,7 +91,7 @@ fn tilted_cones_are_found_as_in_the_paper() {
     for tilt_deg in [5.0_f64, 20.0, 40.0] {
         for half_angle_deg in [10.0_f64, 15.0] {
             let (sin, cos) = tilt_deg.to_radians().sin_cos();
-            // Towards the camera: the apex, above, is the nearer end.
+            // Leaning towards the camera: the apex, at the top, is the nearer end.
             let axis = Vector3::new(0.0, cos, sin);
             let center = Vector3::new(0.1, 0.0, 1.3);
             let slope = half_angle_deg.to_radians().tan();

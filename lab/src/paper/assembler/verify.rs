@@ -1,4 +1,4 @@
-//! What a body has to fulfil to be reported, and the report.
+//! Verifies fitted bodies, and turns them into objects.
 
 use super::parameters::{ProfileConfig, SectionFit};
 use super::rejection::{Rejection, Rejections};
@@ -8,16 +8,16 @@ use conicflow_geometry::{Conical, Sphere, Surface, Vector3, line_rms, section_ab
 use conicflow_messages::{NoiseModel, Object, ObjectKind, ObjectSigma};
 use std::ops::Range;
 
-/// Least standard deviation that is ever claimed, in metres and radians.
+/// Least standard deviation that is reported, in metres and radians.
 const LEAST_SIGMA: f64 = 1e-6;
 
-/// What the points may be off the paper's model, in radii: on short arcs its centres are too near by a quarter.
+/// Allowed error of the paper's model at the points, in radii: on short arcs its centres are too near by a quarter.
 const ELLIPSE_RMS_RADII: f64 = 0.35;
 
-/// Sections this many times worse than the whole are left out.
+/// Sections worse than the whole by this factor are left out.
 const OUTLIER_RMS: f64 = 1.6;
 
-/// The surface of a body: its point is the centre, and a sphere has neither axis nor slope.
+/// The surface of a body: its point is the centre; a sphere has neither axis nor slope.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Solid {
     pub shape: ObjectKind,
@@ -25,7 +25,7 @@ pub(super) struct Solid {
 }
 
 impl Solid {
-    /// Sum of the squared distances of a section's points, to first order; NaN for a cone on a plane along its axis.
+    /// Returns the sum of the squared distances of a section's points, to first order; NaN for a cone on a plane along its axis.
     fn square_sum(&self, section: &Section) -> f64 {
         let Conical { point: center, radius, .. } = self.surface;
         let coefficients = match self.shape {
@@ -51,7 +51,7 @@ pub(super) struct Body {
     pub across_sigma: f64,
 }
 
-/// The sections of one body, which passed the tests that need no fit.
+/// The sections of one body that passed the tests without a fit.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Candidate<'a> {
     sections: &'a [Section],
@@ -84,18 +84,18 @@ impl<'a> Candidate<'a> {
         Ok(candidate)
     }
 
-    /// The members from one fraction of the sequence to another.
+    /// Returns the members between two fractions of the sequence.
     pub fn part(&self, from: f64, to: f64) -> Range<usize> {
         let index = |fraction: f64| (fraction * self.count()).round() as usize;
         index(from)..index(to)
     }
 
-    /// The same with a part of the members.
+    /// Returns the candidate with a part of its members.
     pub fn only(&self, part: Range<usize>) -> Result<Self, Rejection> {
         self.with(&self.members[part])
     }
 
-    /// The same with other members.
+    /// Returns the candidate with other members.
     pub fn with(&self, members: &'a [usize]) -> Result<Self, Rejection> {
         Self::new(self.sections, members, self.noise, self.config)
     }
@@ -113,23 +113,23 @@ impl<'a> Candidate<'a> {
         &self.sections[self.members[self.members.len() / 2]]
     }
 
-    /// The first and the last section.
+    /// Returns the first and the last section.
     pub fn ends(&self) -> [&'a Section; 2] {
         [self.members[0], self.members[self.members.len() - 1]].map(|member| &self.sections[member])
     }
 
-    /// Mean of a property of the sections.
+    /// Returns the mean of a property of the sections.
     pub fn mean(&self, property: impl Fn(&Section) -> f64) -> f64 {
         self.sections().map(property).sum::<f64>() / self.count()
     }
 
-    /// From where to where the points of the sections reach along an axis, counted from `point`.
+    /// Returns the range of the sections' points along an axis, from `point`.
     pub fn extent(&self, point: &Vector3, axis: &Vector3) -> (f64, f64) {
         let positions = self.ends().map(|section| (section.mean() - point).dot(axis));
         (positions[0].min(positions[1]), positions[0].max(positions[1]))
     }
 
-    /// The report on a body, if it is one to be reported.
+    /// Returns the object for a body, or the reason to reject it.
     pub fn verify(&self, body: &Body) -> Result<Object, Rejection> {
         let (shape, radius) = (body.solid.shape, body.solid.surface.radius);
         let rms = self.rms(&body.solid);
@@ -154,14 +154,14 @@ impl<'a> Candidate<'a> {
         self.config.profile.max_rms_sigmas * self.noise_sigma() + radii * radius
     }
 
-    /// Root mean square distance of all points from the surface.
+    /// Returns the root mean square distance of all points from the surface.
     fn rms(&self, solid: &Solid) -> f64 {
         (self.sections().map(|section| solid.square_sum(section)).sum::<f64>() / self.points()).sqrt()
     }
 
-    /// From where to where the members reach, from `seed` on to both sides, whose points lie on a surface, given the distance
-    /// of those that it was fitted to; and these members. Sections that took in points of a floor or of a neighbour stay out,
-    /// and k in a row end the body.
+    /// Extends `seed` to both sides by members whose points lie on a surface, given the rms distance of the points to which it
+    /// was fitted. Returns the range, and the members in it. Sections that include points of a floor or a neighbour are left out,
+    /// and k consecutive ones end the body.
     pub fn inliers(&self, solid: &Solid, rms: f64, seed: Range<usize>) -> (Range<usize>, Vec<usize>) {
         let limit = OUTLIER_RMS * rms;
         let fits = |position: &usize| {
@@ -175,14 +175,14 @@ impl<'a> Candidate<'a> {
         (start..end, (start..end).filter(fits).map(|position| self.members[position]).collect())
     }
 
-    /// Root mean square distance of the points of the sections from a line each.
+    /// Returns the root mean square distance of the points of each section from a straight line.
     fn bulge(&self) -> f64 {
         let square_sum =
             |section: &Section| line_rms(&section.moments).map_or(0.0, |rms| rms * rms * section.moments.count());
         (self.sections().map(square_sum).sum::<f64>() / self.points()).sqrt()
     }
 
-    /// Standard deviation of the sensor at the depth of the points.
+    /// Returns the standard deviation of the sensor at the depth of the points.
     fn noise_sigma(&self) -> f64 {
         self.noise.sigma(self.mean(|section| section.mean().z))
     }
@@ -219,7 +219,7 @@ impl<'a> Candidate<'a> {
         }
     }
 
-    /// Standard errors from the scatter of centres and radii, and never less than the points allow.
+    /// Returns standard errors from the scatter of centres and radii, at least those that the points allow.
     fn sigma(&self, body: &Body, rms: f64) -> ObjectSigma {
         let floor = (rms / self.points().sqrt()).max(LEAST_SIGMA);
         let middle = self.middle();
@@ -243,7 +243,7 @@ impl<'a> Candidate<'a> {
     }
 }
 
-/// The last position that fits before `patience` positions in a row that do not.
+/// Returns the last position that fits before `patience` consecutive ones that do not.
 fn reach(positions: impl Iterator<Item = usize>, patience: u32, fits: impl Fn(&usize) -> bool) -> Option<usize> {
     let (mut last, mut misses) = (None, 0);
     for position in positions {
@@ -259,7 +259,7 @@ fn reach(positions: impl Iterator<Item = usize>, patience: u32, fits: impl Fn(&u
     last
 }
 
-/// Drops objects whose centre lies inside one with more points: the same, seen along rows and along columns.
+/// Drops objects with their centre inside one with more points: the same object, seen along rows and along columns.
 pub(super) fn drop_doubles(objects: &mut Vec<Object>, rejections: &mut Rejections) {
     objects.sort_by_key(|object| std::cmp::Reverse(object.points));
     let mut kept = 0;

@@ -1,4 +1,4 @@
-//! The pre-filter: which arcs go on as ellipses, and why the others do not.
+//! The pre-filter: accepts arcs as ellipses, or rejects them with a reason.
 
 use super::growth::{self, Arc};
 use super::parameters::ConicConfig;
@@ -7,7 +7,7 @@ use crate::scan_line::{ScanLine, span};
 use conicflow_geometry::{self as geometry, line_rms};
 use conicflow_messages::{Ellipse, NoiseModel};
 
-/// The ellipse of an arc, or why it is none.
+/// Returns the ellipse of an arc, or the reason to reject it.
 pub(super) fn accept(
     arc: &Arc,
     line: &ScanLine,

@@ -1,25 +1,25 @@
 //! Algorithm 1 of the paper: a model grows along a run until its error exceeds the threshold.
 //!
-//! The paper fits after each point. The sums are as they would be then, but we fit only where the answer may change:
-//! steps grow with the model by an eighth of its points, and where a step fails, the last point that fits is found by
-//! bisection. As long as the error does not fall again once it is too great, the result is the same.
+//! The paper fits after each point. Here the sums are the same, but a fit is only made where its result may matter: steps grow
+//! with the model, by an eighth of its points, and where a step fails, bisection finds the last point that fits. The result is
+//! the same as long as an error that has become too large stays too large.
 
 use super::parameters::ConicConfig;
 use crate::scan_line::Point;
 use conicflow_geometry::{Conic, PlaneMoments, ScanPlane, fit_ellipse, line_rms};
 use conicflow_messages::NoiseModel;
 
-/// Fewest points that determine an ellipse with one to spare.
+/// Least number of points for an ellipse, with one to spare.
 const FIRST_FIT: usize = 6;
 
-/// The points that one line or ellipse explains.
+/// The points of one line or ellipse.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Arc<'a> {
     pub points: &'a [Point],
     pub moments: PlaneMoments,
 }
 
-/// The longest start of `run` that one line or ellipse explains; at least six points, or all there are.
+/// Returns the longest start of `run` that one line or ellipse explains; at least six points, or all of them.
 pub(super) fn grow<'a>(run: &'a [Point], plane: &ScanPlane, noise: &NoiseModel, config: &ConicConfig) -> Arc<'a> {
     let mut length = run.len().min(FIRST_FIT);
     let mut moments = PlaneMoments::of(run[0].st, run[..length].iter().map(|point| point.st));
@@ -38,13 +38,13 @@ pub(super) fn grow<'a>(run: &'a [Point], plane: &ScanPlane, noise: &NoiseModel, 
     Arc { points: &run[..length], moments }
 }
 
-/// Largest error that the noise of the sensor accounts for at the depth of these points, in metres.
+/// Returns the largest error that the sensor's noise explains at the depth of these points, in metres.
 pub(super) fn max_error(moments: &PlaneMoments, plane: &ScanPlane, noise: &NoiseModel, config: &ConicConfig) -> f64 {
     let depth = moments.mean().map_or(0.0, |[_, t]| t / plane.stretch());
     config.conic.max_error_floor_m + config.conic.max_error_sigmas * noise.sigma(depth)
 }
 
-/// The ellipse through the points and their distance from it.
+/// Fits an ellipse to the points, and returns it with their rms distance.
 pub(super) fn fit(moments: &PlaneMoments) -> Option<(Conic, f64)> {
     let conic = fit_ellipse(moments)?;
     Some((conic, conic.rms(moments)?))
@@ -52,6 +52,6 @@ pub(super) fn fit(moments: &PlaneMoments) -> Option<(Conic, f64)> {
 
 fn is_explained(moments: &PlaneMoments, plane: &ScanPlane, noise: &NoiseModel, config: &ConicConfig) -> bool {
     let limit = max_error(moments, plane, noise, config);
-    // A line is a flat ellipse that costs little to fit; most of a room ends here.
+    // A line is a flat ellipse that is cheap to fit; most of a room ends here.
     line_rms(moments).is_none_or(|rms| rms <= limit) || fit(moments).is_some_and(|(_, rms)| rms <= limit)
 }

@@ -1,7 +1,7 @@
 //! The paper's Algorithm 1 with its pre-filter (`arcs = "conic"`): a scan line is split at holes and depth jumps into runs
-//! ([`runs`]). Along a run a model grows point by point on running sums, and ends where no line and no ellipse explains
-//! its points any more ([`growth`]); what is left of the run starts the next one, so that one pass finds all ellipses of a
-//! line. Walls, specks and hollows are then turned down, each under the name of its reason ([`filter`]).
+//! ([`runs`]). Along a run a model grows point by point on running sums, until no line and no ellipse explains its points any
+//! more ([`growth`]). The rest of the run starts the next model, so that one pass finds all ellipses of a line. Walls, specks and
+//! hollows are then rejected, each with its reason ([`filter`]).
 
 mod filter;
 mod growth;
@@ -26,12 +26,12 @@ pub struct ConicExtractor {
 }
 
 impl ConicExtractor {
-    /// An extractor with these parameters.
+    /// Creates an extractor with these parameters.
     pub fn new(config: ConicConfig) -> Self {
         Self { config, ellipses: Vec::new(), rejections: ArcRejections::default() }
     }
 
-    /// The ellipses of the depth image `pixels` (row by row, `width * height` of them), in the order of the scan lines.
+    /// Returns the ellipses of the depth image `pixels` (row by row, `width * height` of them), in the order of the scan lines.
     pub fn extract(&mut self, header: &Header, pixels: &[u16]) -> &[Ellipse] {
         self.ellipses.clear();
         self.rejections = ArcRejections::default();
@@ -51,7 +51,7 @@ impl ConicExtractor {
         &self.ellipses
     }
 
-    /// Why arcs of the last image were turned down, and how many of them.
+    /// Returns the reasons for rejected arcs of the last image, and their counts.
     pub fn rejections(&self) -> impl Iterator<Item = (&'static str, u64)> {
         self.rejections.iter()
     }

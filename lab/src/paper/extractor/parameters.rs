@@ -1,4 +1,4 @@
-//! Parameters of `arcs = "conic"`, the paper's.
+//! Parameters of the paper's extractor, `arcs = "conic"`.
 
 use conicflow_detection::{ExtractorParameters, ScanLines};
 use schemars::JsonSchema;
@@ -46,17 +46,17 @@ impl Default for ConicParameters {
     }
 }
 
-/// All that the extractor goes by.
+/// All parameters of the extractor.
 #[derive(Clone, Debug, Default)]
 pub struct ConicConfig {
-    /// What every extractor has.
+    /// The parameters of every extractor.
     pub common: ExtractorParameters,
-    /// What this one has alone.
+    /// The parameters of this one only.
     pub conic: ConicParameters,
 }
 
 impl ConicConfig {
-    /// The paper's way: ellipses of the rows alone.
+    /// Returns the parameters of the paper's method: ellipses of the rows only.
     pub fn of_the_paper() -> Self {
         let common = ExtractorParameters { scan: ScanLines::Rows, ..ExtractorParameters::default() };
         Self { common, conic: ConicParameters::default() }

@@ -1,7 +1,7 @@
-//! Why arcs are no ellipses.
+//! Reasons for rejecting arcs.
 
 conicflow_detection::rejections! {
-    /// Why an arc is turned down.
+    /// The reason for rejecting an arc.
     ArcRejection, ArcRejections:
     FewPoints => "arcs of too few points",
     Line => "arcs that a line explains",

@@ -1,11 +1,11 @@
-//! The points of one scan line, split into runs without holes and depth jumps.
+//! Splits the points of one scan line into runs without holes and depth jumps.
 
 use super::parameters::ConicConfig;
 use crate::scan_line::{Point, ScanLine};
 use conicflow_detection::camera::pinhole;
 use conicflow_messages::Header;
 
-/// The points between two holes or jumps, run by run.
+/// Returns the points between holes or jumps, run by run.
 pub(super) fn runs<'a>(
     line: &'a ScanLine,
     header: &'a Header,
@@ -17,13 +17,13 @@ pub(super) fn runs<'a>(
     runs.filter(move |run| run.len() > 2 * trim).map(move |run| &run[trim..run.len() - trim])
 }
 
-/// Whether two neighbouring measurements may lie on one surface.
+/// Whether two neighbouring measurements can lie on one surface.
 fn connected(a: &Point, b: &Point, header: &Header, pitch: f64, config: &ConicConfig) -> bool {
     let pixels = b.pixel - a.pixel;
     let near = a.depth.min(b.depth);
     let slope = config.conic.jump_slope * pitch * near * f64::from(pixels);
     let step = (b.depth - a.depth).abs();
-    // The noise is looked up only where the slope alone does not explain the step.
+    // The noise is only needed if the slope alone does not explain the step.
     let sigma = || header.noise.sigma(near).max(header.depth_scale / 12.0_f64.sqrt());
     let explained = || step <= slope + config.conic.jump_sigmas * sigma();
     pixels <= config.common.max_hole_px + 1 && (step <= slope || explained())

@@ -33,7 +33,7 @@ fn rejected(rejections: &[(&'static str, u64)], name: &str) -> u64 {
 fn each_row_of_a_cylinder_gives_its_section() {
     let scene = render(KINECT_HALF, NoiseModel::IDEAL, &[upright(0.1, 1.5, 0.2)], 1);
     let (ellipses, _) = extract(ConicConfig::of_the_paper(), &scene);
-    // Where the frustum is cut off, a row sees only a part of its section.
+    // At the ends of the frustum, a row shows only a part of its section.
     let whole: Vec<_> = ellipses.iter().filter(|ellipse| ellipse.points > 60).collect();
     assert!(whole.len() > 80, "{} whole ones", whole.len());
     for ellipse in whole {
@@ -73,7 +73,7 @@ fn a_floor_and_a_wall_give_next_to_nothing() {
 
 #[test]
 fn the_inside_of_a_bowl_is_concave() {
-    // The camera is in the sphere, so only the far half is seen.
+    // The camera is inside the sphere, so that only the far half is visible.
     let bowl = sphere(Vector3::new(0.0, 0.0, 0.2), 0.5);
     let scene = render(KINECT_HALF, NoiseModel::IDEAL, &[bowl], 4);
     let (ellipses, rejections) = extract(ConicConfig::of_the_paper(), &scene);

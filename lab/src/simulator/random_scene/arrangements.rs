@@ -1,4 +1,4 @@
-//! How the things of each group are put together.
+//! Arranges the things of each group.
 
 use super::set::Set;
 use super::things::Thing;
@@ -16,7 +16,7 @@ pub fn standing(set: &mut Set) {
     set.enclose(3.2..=4.2, 0.3);
 }
 
-/// A flat box under a thing; its height.
+/// Puts a flat box under a thing, and returns its height.
 fn plinth(set: &mut Set, foot: Vector3<f64>, reach: f64) -> f64 {
     let (side, height) = (reach * set.draws.within(2.1..=2.6), set.draws.within(0.02..=0.3));
     let heading = set.draws.heading();
@@ -39,7 +39,7 @@ pub fn tilted(set: &mut Set) {
     set.look_at_things(0.0);
 }
 
-/// An upright direction that leans by 10 to 60 degrees: to a side, towards the camera, away from it, or anywhere.
+/// Draws an upright direction that leans by 10 to 60 degrees: to a side, towards the camera, away from it, or in any direction.
 fn leaning(set: &mut Set) -> Vector3<f64> {
     let tilt = set.draws.within(10.0..=60.0_f64).to_radians();
     let level = match set.draws.count(0..=3) {
@@ -61,8 +61,8 @@ pub fn occluded(set: &mut Set) {
     set.enclose(3.4..=4.2, 0.3);
 }
 
-/// Hides 10 to 70 % of a thing: from the left or right by a box or a board, from below by a box; or up to 40 % of it along
-/// its middle by a post.
+/// Hides 10 to 70 % of a thing: from the left or right by a box or a board, from below by a box; or up to 40 % along its middle
+/// by a post.
 fn hide(set: &mut Set, thing: Thing, foot: Vector3<f64>) {
     let share = set.draws.within(0.1..=0.7);
     let nearness = set.draws.within(0.55..=0.85); // of the way from the camera to the thing
@@ -139,7 +139,7 @@ fn lying_thing(set: &mut Set) -> Thing {
     }
 }
 
-/// Lays a thing on its side, along any heading: the lowest line of its side touches the ground.
+/// Lays a thing on its side, with any heading: the lowest line of its side touches the ground.
 fn lay(set: &mut Set, thing: Thing, middle: Vector3<f64>) {
     let heading = set.draws.heading();
     let Thing::Round { base_radius, top_radius, length, .. } = thing else { return };
@@ -171,7 +171,7 @@ pub fn composed(set: &mut Set) {
     set.enclose(3.2..=4.2, 0.45);
 }
 
-/// A thing with a lid, for something to stand on.
+/// Returns the thing with a lid, so that something can stand on it.
 fn closed(thing: Thing) -> Thing {
     match thing {
         Thing::Round { name, base_radius, top_radius, length, .. } => {
@@ -181,7 +181,7 @@ fn closed(thing: Thing) -> Thing {
     }
 }
 
-/// A box to put something on; its height.
+/// Puts a box under something, and returns its height.
 fn crate_under(set: &mut Set, foot: Vector3<f64>) -> f64 {
     let size = Vector3::new(0.4, set.draws.within(0.25..=0.5), set.draws.within(0.2..=0.6));
     let heading = set.draws.heading();
@@ -189,7 +189,7 @@ fn crate_under(set: &mut Set, foot: Vector3<f64>) -> f64 {
     size.z
 }
 
-/// What stands on something of a radius: a ball, a cone or a narrower can.
+/// Draws a thing that stands on another one of this radius: a ball, a cone or a narrower can.
 fn upper_thing(set: &mut Set, reach: f64) -> Thing {
     let radius = reach * set.draws.within(0.5..=1.0);
     match set.draws.count(0..=3) {
@@ -218,7 +218,7 @@ pub fn clutter(set: &mut Set) {
     set.enclose(3.0..=4.2, 0.2);
 }
 
-/// Boxes, some with another one on top, and boards.
+/// Puts up boxes, some with another one on top, and boards.
 fn boxes(set: &mut Set) {
     for _ in 0..set.draws.count(2..=5) {
         let Some((foot, height)) = set.random_block(1.1, 3.0, FLOOR, 0.6) else { continue };

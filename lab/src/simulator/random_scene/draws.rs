@@ -1,4 +1,4 @@
-//! Random numbers for a scene, one after the other.
+//! Random numbers for a scene, in sequence.
 
 use crate::random::CounterRng;
 use nalgebra::Vector3;
@@ -41,7 +41,7 @@ impl Draws {
         if self.chance(0.5) { 1.0 } else { -1.0 }
     }
 
-    /// A level direction, any.
+    /// A random horizontal direction.
     pub fn heading(&mut self) -> Vector3<f64> {
         let angle = self.within(0.0..=std::f64::consts::TAU);
         Vector3::new(libm::cos(angle), libm::sin(angle), 0.0)

@@ -1,6 +1,6 @@
-//! Rooms and tables with what is not quite round: people in clothes, cushions, bags, plants, fruit, oval bottles, crumpled
-//! cloth and paper. None of it is an object, but the necks and caps of bottles are parts that are round. Among it stand at most two
-//! things that are, with rims and handles.
+//! Rooms and tables with things that are not quite round: people in clothes, cushions, bags, plants, fruit, oval bottles,
+//! crumpled cloth and paper. They are no objects, but the round necks and caps of bottles are parts. Among them are at most two
+//! objects, with rims and handles.
 
 use super::super::shapes::{Crease, Lump, Shape};
 use super::rooms::{bar, knob};
@@ -31,7 +31,7 @@ fn living_room(set: &mut Set) {
     set.enclose(2.8..=4.0, 0.5);
 }
 
-/// The same seen from afar, where the depths of a camera show little of what is not round; and heads with hair, which are rounder.
+/// The same from afar, where a camera's depths show little of the deviation from round; and heads with hair, which are rounder.
 pub fn hall(set: &mut Set) {
     for _ in 0..set.draws.count(0..=2) {
         let thing = set.large_thing();
@@ -59,10 +59,10 @@ fn breakfast_table(set: &mut Set) {
     set.enclose(1.8..=3.5, 0.06);
 }
 
-/// A kind of thing: the radius of the place that it takes, and what puts it there.
+/// A kind of thing: the radius of its place, and the function that adds it.
 type Kind = (f64, fn(&mut Set, Vector3<f64>));
 
-/// Puts so many things, each of one of the kinds, at free places at a distance, on a level, with a gap between them.
+/// Puts a number of things, each of one of the kinds, at free places at a distance, on a level, with a gap between them.
 fn scatter(
     set: &mut Set,
     count: RangeInclusive<u64>,
@@ -78,7 +78,8 @@ fn scatter(
 }
 
 impl Set {
-    /// A lump whose third axis points along a direction, turned about that at random, with creases so high and so long in metres.
+    /// Adds a lump whose third axis is along a direction, with a random rotation about it, and creases with heights and lengths
+    /// in metres.
     fn lump(
         &mut self,
         name: &str,
@@ -93,7 +94,7 @@ impl Set {
         let mean = half.mean();
         let height = self.draws.within(height) / mean;
         let mut crease = |share: f64| {
-            // Waves of cloth run across it as they like.
+            // Waves of cloth have any direction.
             let (rise, heading) = (self.draws.within(-1.0..=1.0), self.draws.heading());
             let direction = heading * (1.0 - rise * rise).sqrt() + Vector3::z() * rise;
             let wave = direction.component_mul(&half) * (TAU / self.draws.within(length.clone()));
@@ -103,7 +104,7 @@ impl Set {
         self.add(name, Shape::Lump(Lump { center, axes, half, squareness, creases }));
     }
 
-    /// A lump from one point to another.
+    /// Adds a lump from one point to another.
     fn limb(&mut self, name: &str, [from, to]: [Vector3<f64>; 2], [one, other]: [f64; 2], folds: RangeInclusive<f64>) {
         let along = to - from;
         let half = [one, other, 0.5 * along.norm() + 0.3 * one];
@@ -111,7 +112,7 @@ impl Set {
     }
 }
 
-/// Axes of which the third points along a direction, turned about it.
+/// Returns axes of which the third is along a direction, rotated about it by `turn`.
 fn axes(along: Vector3<f64>, turn: f64) -> Matrix3<f64> {
     let third = along.normalize();
     let first = third.cross(&if third.z.abs() < 0.9 { Vector3::z() } else { Vector3::x() }).normalize();
@@ -119,7 +120,7 @@ fn axes(along: Vector3<f64>, turn: f64) -> Matrix3<f64> {
     Matrix3::from_columns(&[turned, third.cross(&turned), third])
 }
 
-/// Puts a thing upright at a free place on a level, if there is one, as those are that are used: with rims, a band, a lid, a handle.
+/// Puts a thing upright at a free place on a level, if there is one, with details of used things: rims, a band, a lid, a handle.
 fn used(set: &mut Set, thing: Thing, distance: RangeInclusive<f64>, level: f64, gap: f64) {
     let Some(foot) = set.stand(thing, distance, level, gap) else { return };
     let Thing::Round { base_radius, top_radius, length, open, .. } = thing else { return };
@@ -154,12 +155,12 @@ fn used(set: &mut Set, thing: Thing, distance: RangeInclusive<f64>, level: f64, 
     }
 }
 
-/// Somebody in clothes, who stands.
+/// Puts up a standing person in clothes.
 fn person(set: &mut Set, foot: Vector3<f64>) {
     somebody(set, foot);
 }
 
-/// The same with hair or a cap about the head.
+/// Puts up a standing person with hair or a cap.
 fn person_with_hair(set: &mut Set, foot: Vector3<f64>) {
     let (center, height) = somebody(set, foot);
     let mut half = |least: f64, most: f64| set.draws.within(least..=most) * height;
@@ -167,7 +168,7 @@ fn person_with_hair(set: &mut Set, foot: Vector3<f64>) {
     set.lump("hair", [center, Vector3::z()], half, ROUND, [0.002..=0.012, 0.04..=0.15]);
 }
 
-/// Puts somebody there; the middle of the head, and the height.
+/// Puts up a person, and returns the middle of the head and the height.
 fn somebody(set: &mut Set, foot: Vector3<f64>) -> (Vector3<f64>, f64) {
     let heading = set.draws.heading();
     let across = Vector3::z().cross(&heading);
@@ -197,7 +198,7 @@ fn somebody(set: &mut Set, foot: Vector3<f64>) -> (Vector3<f64>, f64) {
     (head[0], height)
 }
 
-/// A seat, a back and two arms with rounded edges, and a cushion.
+/// Puts up an armchair: a seat, a back and two arms with rounded edges, and a cushion.
 fn armchair(set: &mut Set, foot: Vector3<f64>) {
     let heading = set.draws.heading();
     let across = Vector3::z().cross(&heading);
@@ -243,7 +244,7 @@ fn plant(set: &mut Set, foot: Vector3<f64>) {
     }
 }
 
-/// A bottle for soap or sauce: its body oval, its neck and cap round.
+/// A bottle for soap or sauce: its body is oval, its neck and cap are round.
 fn oval_bottle(set: &mut Set, foot: Vector3<f64>) {
     let (wide, height) = (set.draws.within(0.035..=0.055), set.draws.within(0.16..=0.28));
     let half = [wide, wide * set.draws.within(0.5..=0.8), 0.4 * height];
@@ -252,7 +253,7 @@ fn oval_bottle(set: &mut Set, foot: Vector3<f64>) {
     bar(set, "cap", cap, [0.3 * wide, 0.27 * wide]);
 }
 
-/// A carton or a canister of milk: a box with more or less rounded edges.
+/// A carton or a canister of milk: a box with rounded edges.
 fn carton(set: &mut Set, foot: Vector3<f64>) {
     let half = [set.draws.within(0.03..=0.05), set.draws.within(0.03..=0.07), set.draws.within(0.08..=0.14)];
     let square = if set.draws.chance(0.5) { BOXY } else { [2, 3] };
@@ -262,7 +263,7 @@ fn carton(set: &mut Set, foot: Vector3<f64>) {
     }
 }
 
-/// A pear, a potato, an egg: longer than wide, or flattened.
+/// A pear, a potato, an egg: elongated, or flattened.
 fn fruit(set: &mut Set, foot: Vector3<f64>) {
     let wide = set.draws.within(0.025..=0.05);
     let long = if set.draws.chance(0.7) { set.draws.within(1.2..=1.7) } else { set.draws.within(0.65..=0.85) };
@@ -271,14 +272,14 @@ fn fruit(set: &mut Set, foot: Vector3<f64>) {
     set.lump("fruit", [foot + Vector3::z() * wide, along], half, ROUND, [0.0..=0.003, 0.03..=0.1]);
 }
 
-/// A towel or a jacket that somebody threw there.
+/// A towel or a jacket, thrown down.
 fn cloth(set: &mut Set, foot: Vector3<f64>) {
     let half = [set.draws.within(0.08..=0.16), set.draws.within(0.06..=0.12), set.draws.within(0.02..=0.06)];
     let square = if set.draws.chance(0.5) { ROUND } else { CUSHION };
     set.lump("cloth", [foot + Vector3::z() * (0.8 * half[2]), Vector3::z()], half, square, [0.008..=0.03, 0.05..=0.15]);
 }
 
-/// Paper that was crumpled into a ball.
+/// Paper crumpled into a ball.
 fn paper(set: &mut Set, foot: Vector3<f64>) {
     let size = set.draws.within(0.025..=0.05);
     let half = [size, size * set.draws.within(0.75..=1.0), size * set.draws.within(0.75..=1.0)];

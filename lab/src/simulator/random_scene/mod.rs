@@ -1,8 +1,8 @@
-//! Random scenes for the scoring of detectors: each is a function of its group and its seed alone.
+//! Random scenes for scoring detectors: each depends only on its group and its seed.
 //!
-//! A group is a kind of difficulty: things that stand, that are tilted, hidden, small, lying, put on one another, among
-//! boxes; bowls, whose insides are no objects; and rooms with nothing to be found. The camera stands as that of a robot
-//! or in a hand: its height, pitch and roll vary, and it looks about at the middle of things.
+//! A group is a kind of difficulty: objects that stand, are tilted, hidden, small, lying, on top of one another, or among boxes;
+//! bowls, whose insides are no objects; and rooms without objects. The camera is that of a robot or hand-held: height, pitch and
+//! roll vary, and it looks roughly at the middle of the things.
 
 mod arrangements;
 mod draws;
@@ -53,7 +53,7 @@ pub enum SceneGroup {
 }
 
 impl SceneGroup {
-    /// Those that are shown where none are named, and that the figures are of.
+    /// The default groups, to which the figures of the documentation refer.
     pub const USUAL: [Self; 9] = [
         Self::Standing,
         Self::Tilted,
@@ -66,18 +66,18 @@ impl SceneGroup {
         Self::Empty,
     ];
 
-    /// All groups.
+    /// Returns all groups.
     pub fn all() -> impl Iterator<Item = Self> {
         GROUPS.into_iter().map(|(group, ..)| group)
     }
 
-    /// The word for it, as it stands in a pipeline file.
+    /// Returns the group's word in a pipeline file.
     pub fn name(self) -> &'static str {
         GROUPS[self as usize].1
     }
 }
 
-/// A group, the word for it, and how its scenes are arranged.
+/// A group, its word, and the function that arranges its scenes.
 type Arranged = (SceneGroup, &'static str, fn(&mut Set));
 
 /// All groups, in their order.
@@ -98,15 +98,15 @@ const GROUPS: [Arranged; 14] = [
     (SceneGroup::Hall, "hall", lived_in::hall),
 ];
 
-/// The camera is rolled by at most so many degrees to either side, beside the 6 that it always may be: it stays upright.
+/// Largest configured roll of the camera to either side, in degrees, beside the random 6: the camera stays upright.
 pub const MAX_ROLL_DEG: f64 = 75.0; // [algorithmic]
 
-/// A scene of a group; named `group/seed`.
+/// Returns a scene of a group, with the name `group/seed`.
 pub fn random_scene(group: SceneGroup, seed: u64) -> Scene {
     rolled_scene(group, seed, 0.0)
 }
 
-/// The same before a camera that is rolled by so many degrees more; named `group/seed/degrees` then.
+/// Returns the scene with the camera rolled further, with the name `group/seed/degrees`.
 pub fn rolled_scene(group: SceneGroup, seed: u64, roll_deg: f64) -> Scene {
     let mut set = Set::new(group as u64, seed);
     let (_, name, arrange) = GROUPS[group as usize];
@@ -118,7 +118,7 @@ pub fn rolled_scene(group: SceneGroup, seed: u64, roll_deg: f64) -> Scene {
     scene
 }
 
-/// The scene of this name.
+/// Returns the scene of this name.
 pub fn scene_named(name: &str) -> Option<Scene> {
     let mut parts = name.split('/');
     let (group, seed) = (parts.next()?, parts.next()?.parse().ok()?);

@@ -1,5 +1,5 @@
-//! Rooms as they are: furniture of slats and bars, people of nearly round parts, cups with handles, bottles of glass, curved
-//! walls. What is round and belongs to something else is a part: nobody asks for it.
+//! Realistic rooms: furniture of slats and bars, people of nearly round parts, cups with handles, bottles of glass, curved walls.
+//! Round things that belong to something else are parts, which need not be found.
 
 use super::super::scene::Role;
 use super::super::shapes::{Frustum, Shape, Sphere};
@@ -41,7 +41,7 @@ pub fn furnished(set: &mut Set) {
     set.look_at_things(0.4);
 }
 
-/// A bar that is a part of something.
+/// Adds a bar as a part of something.
 pub fn bar(set: &mut Set, name: &str, [from, to]: [Vector3<f64>; 2], radii: [f64; 2]) {
     let length = (to - from).norm();
     let [base_radius, top_radius] = radii;
@@ -54,7 +54,7 @@ pub fn knob(set: &mut Set, name: &str, center: Vector3<f64>, radius: f64) {
     set.add_as(Role::Part, name, Shape::Sphere(Sphere { center, radius }));
 }
 
-/// A seat on four legs, square or round, with a back of slats between two posts.
+/// Adds a chair: a seat on four legs, square or round, with a back of slats between two posts.
 fn chair(set: &mut Set, foot: Vector3<f64>) {
     let heading = set.draws.heading();
     let across = Vector3::z().cross(&heading);
@@ -80,7 +80,7 @@ fn chair(set: &mut Set, foot: Vector3<f64>) {
     }
 }
 
-/// Doors and drawers before the wall, with bars to pull them by.
+/// Adds a cupboard at the wall: doors and drawers with bars as handles.
 fn cupboard(set: &mut Set, distance: f64) {
     let (width, height, depth) = (set.draws.within(0.8..=1.8), set.draws.within(0.7..=2.0), 0.4);
     let x = set.draws.within(-0.8..=0.8);
@@ -101,7 +101,7 @@ fn cupboard(set: &mut Set, distance: f64) {
     }
 }
 
-/// A box whose upright edges are rounded.
+/// Adds a box with rounded vertical edges.
 fn rounded_post(set: &mut Set, foot: Vector3<f64>, heading: Vector3<f64>, size: [f64; 3], rounding: f64) {
     let across = Vector3::z().cross(&heading);
     let [length, width, height] = size;
@@ -113,7 +113,7 @@ fn rounded_post(set: &mut Set, foot: Vector3<f64>, heading: Vector3<f64>, size: 
     }
 }
 
-/// Somebody who stands: legs and arms of tapered bars, a trunk with rounded edges, a head.
+/// Adds a standing person: legs and arms of tapered bars, a trunk with rounded edges, a head.
 fn person(set: &mut Set, foot: Vector3<f64>) {
     let heading = set.draws.heading();
     let across = Vector3::z().cross(&heading);
@@ -138,7 +138,7 @@ fn person(set: &mut Set, foot: Vector3<f64>) {
     knob(set, "head", at(0.01, 0.0, 0.93), 0.058 * height);
 }
 
-/// A wall that is hollow or bulges, seen as far as the flat one.
+/// Adds a concave or convex wall, about as far away as the flat one.
 fn curved_wall(set: &mut Set, distance: f64) {
     let radius = set.draws.within(1.5..=3.0);
     let bulges = set.draws.chance(0.5);
@@ -168,7 +168,7 @@ pub fn kitchen(set: &mut Set) {
     set.enclose(1.8..=3.5, 0.04);
 }
 
-/// A mug or a cup whose handle is a bent bar and whose inside is dark: no depth comes from below its rim.
+/// Adds a mug or cup with a bent bar as handle and a dark inside: there is no depth below its rim.
 fn cup_with_handle(set: &mut Set, top: f64) {
     let cup = if set.draws.chance(0.6) { set.mug() } else { set.cup() };
     let Thing::Round { base_radius, top_radius, length, .. } = cup else { return };
@@ -195,7 +195,7 @@ fn cup_with_handle(set: &mut Set, top: f64) {
     }
 }
 
-/// A bottle of glass, of which one sees the label and the cap.
+/// Adds a bottle of glass, of which only label and cap are visible.
 fn bottle(set: &mut Set, top: f64) {
     let (radius, height) = (set.draws.within(0.03..=0.045), set.draws.within(0.22..=0.32));
     let Some(foot) = set.place(&(0.65..=1.15), top, radius, 0.02) else { return };
@@ -216,7 +216,7 @@ fn bottle(set: &mut Set, top: f64) {
     set.add_as(Role::Part, "cap", Shape::Frustum(round(0.92, 1.0, [0.45 * radius; 2])));
 }
 
-/// A bowl, upright or upturned.
+/// Adds a bowl, upright or upturned.
 fn bowl(set: &mut Set, top: f64) {
     let radius = set.draws.within(0.06..=0.12);
     let Some(foot) = set.place(&(0.65..=1.1), top, radius, 0.02) else { return };

@@ -81,7 +81,7 @@ fn cups_are_cones_of_three_to_eight_degrees_and_all_shapes_occur() {
     }
 }
 
-/// What the figures of the documentation are of: neither the scenes nor what the simple noise makes of them may change.
+/// The documentation's figures are of these scenes, so neither they nor the results of the simple noise model may change.
 #[test]
 fn the_usual_scenes_are_the_same_to_the_bit() {
     let mut hash = 0xcbf2_9ce4_8422_2325_u64; // FNV-1a

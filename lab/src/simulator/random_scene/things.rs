@@ -1,11 +1,11 @@
-//! What is to be found: cans, cones, buckets, balls, mugs, cups and tins of random sizes; and bowls, which are no objects.
+//! Objects: cans, cones, buckets, balls, mugs, cups and tins of random sizes; and bowls, which are no objects.
 
 use super::super::shapes::{Bowl, Frustum, Shape, Sphere};
 use super::set::Set;
 use nalgebra::Vector3;
 use std::ops::RangeInclusive;
 
-/// A thing without a place: how it is named and what it measures.
+/// A thing without a place: its name and its dimensions.
 #[derive(Clone, Copy)]
 pub enum Thing {
     /// Radii of both ends, length, and whether the upper end is open.
@@ -37,7 +37,7 @@ impl Set {
         self.put_along(thing, foot, Vector3::z());
     }
 
-    /// Puts a thing upright at a free place on a level, if there is one; where that is.
+    /// Puts a thing upright at a free place on a level, and returns the place, if there is one.
     pub fn stand(&mut self, thing: Thing, distance: RangeInclusive<f64>, level: f64, gap: f64) -> Option<Vector3<f64>> {
         let foot = self.place(&distance, level, thing.reach(), gap)?;
         self.put(thing, foot);
@@ -57,7 +57,7 @@ impl Set {
         }
     }
 
-    /// What stands on floors.
+    /// Draws a thing that stands on floors.
     pub fn large_thing(&mut self) -> Thing {
         match self.draws.count(0..=7) {
             0..=2 => self.can(),
@@ -94,7 +94,7 @@ impl Set {
         Thing::Ball { name: "ball", radius: self.draws.within(0.09..=0.22) }
     }
 
-    /// What stands on tables.
+    /// Draws a thing that stands on tables.
     pub fn small_thing(&mut self) -> Thing {
         match self.draws.count(0..=6) {
             0 => self.mug(),

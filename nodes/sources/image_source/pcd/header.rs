@@ -1,17 +1,17 @@
-//! The text header of a PCD file: which fields its points have, how many there are and how they are stored.
+//! The text header of a PCD file: the fields of its points, their number, and their encoding.
 //!
-//! Format: <https://pointclouds.org/documentation/tutorials/pcd_file_format.html>, versions .5 to .7. VIEWPOINT is read
-//! over: like PCL we take the points to be in the sensor's frame, where it says how the sensor stood in the world.
+//! Format: <https://pointclouds.org/documentation/tutorials/pcd_file_format.html>, versions .5 to .7. VIEWPOINT, the sensor's
+//! pose in the world, is ignored: like PCL, this reader takes the points to be in the sensor's frame.
 
 use super::super::faulty::excerpt;
 use anyhow::{Context as _, Result, anyhow, bail, ensure};
 use conicflow_messages::{Hinted, MAX_PIXELS};
 use std::str::SplitAsciiWhitespace;
 
-/// The longest header that is read.
+/// Longest header that is read.
 pub(super) const MAX_HEADER_BYTES: usize = 64 * 1024;
 
-/// How the points follow the header.
+/// The encoding of the points after the header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Encoding {
     /// One point per line, as text.
@@ -22,7 +22,7 @@ pub(super) enum Encoding {
     BinaryCompressed,
 }
 
-/// Reads one number of each point as `f32`; a point begins so many bytes behind the one before it.
+/// Reads one number of each point as `f32`; `stride` is the number of bytes from one point to the next.
 pub(super) type ReadColumn = fn(bytes: &[u8], stride: usize, out: &mut [f32]);
 
 /// One field of a point.
@@ -30,13 +30,13 @@ pub(super) type ReadColumn = fn(bytes: &[u8], stride: usize, out: &mut [f32]);
 pub(super) struct Field {
     pub name: String,
     pub read: ReadColumn,
-    /// Bytes of one number.
+    /// Size of one number in bytes.
     pub size: usize,
-    /// How many numbers the field has.
+    /// Number of numbers in the field.
     pub count: usize,
 }
 
-/// What the header says; every number in it has been checked.
+/// The content of the header; every number in it has been checked.
 #[derive(Clone, Debug)]
 pub(crate) struct Header {
     pub(super) fields: Vec<Field>,
@@ -45,9 +45,9 @@ pub(crate) struct Header {
     /// Height of the organised cloud.
     pub(crate) height: u32,
     pub(super) encoding: Encoding,
-    /// Where in the file the points begin.
+    /// Offset of the points in the file, in bytes.
     pub(super) data_offset: usize,
-    /// How many lines the header has.
+    /// Number of lines of the header.
     pub(super) lines: usize,
 }
 
@@ -55,7 +55,7 @@ impl Header {
     /// Reads the header at the beginning of a file.
     ///
     /// # Errors
-    /// What is wrong, and in which line; a cloud that is not organised as an image.
+    /// Says which line is wrong, and why; also a cloud that is not organised as an image is refused.
     pub(crate) fn parse(bytes: &[u8]) -> Result<Self> {
         let mut draft = Draft::default();
         let mut rest = &bytes[..bytes.len().min(MAX_HEADER_BYTES)];
@@ -77,7 +77,7 @@ impl Header {
         self.width as usize * self.height as usize
     }
 
-    /// Bytes of one point.
+    /// Size of one point in bytes.
     pub(super) fn point_size(&self) -> usize {
         self.fields.iter().map(|field| field.size * field.count).sum()
     }
@@ -150,7 +150,7 @@ impl Draft {
     }
 }
 
-/// Checks that the cloud is organised as an image of a size that can be.
+/// Checks that the cloud is organised as an image, and not too large.
 fn size(width: u64, height: u64, points: Option<u64>) -> Result<(u32, u32)> {
     let pixels = width.checked_mul(height).filter(|&pixels| pixels <= MAX_PIXELS);
     let Some(pixels) = pixels else {

@@ -1,18 +1,18 @@
 //! LZF decompression, as in binary_compressed PCD.
 //!
-//! The format of Marc Lehmann's liblzf: a control byte below 32 opens a run of that many plus one literal bytes; any
-//! other holds a length in its upper three bits (7: one more byte follows) and, with the byte behind, a distance back
-//! into what was written, from 1 to 8192.
+//! The format of Marc Lehmann's liblzf: a control byte below 32 begins a run of that many plus one literal bytes. Any other one
+//! holds a length in its upper three bits (7: one more byte follows); its lower bits and the next byte hold a distance, 1 to
+//! 8192, back into the output.
 
 use anyhow::{Context as _, Result, anyhow, bail};
 
-/// The most bytes that one byte of input can turn into: 3 bytes copy 264.
+/// Largest number of output bytes per byte of input: 3 bytes copy 264.
 pub(super) const MAX_RATIO: usize = 88;
 
 /// Decompresses `input` so that it fills `output` exactly.
 ///
 /// # Errors
-/// Input that is cut off, refers back beyond its beginning, or holds more or less than `output`.
+/// The input is cut off, refers back beyond its beginning, or holds more or less than `output`.
 pub(super) fn decompress(input: &[u8], output: &mut [u8]) -> Result<()> {
     let (mut read, mut written) = (0, 0);
     while let Some(&control) = input.get(read) {
@@ -39,7 +39,7 @@ fn cut_off() -> anyhow::Error {
     anyhow!("the compressed data ends in the middle of a run")
 }
 
-/// Length, distance and number of bytes of a reference whose control byte has been read.
+/// Returns length, distance and number of further bytes of a reference whose control byte has been read.
 fn reference(control: usize, rest: &[u8]) -> Result<(usize, usize, usize)> {
     let byte = |index: usize| rest.get(index).copied().map(usize::from).ok_or_else(cut_off);
     let (length, used) = match control >> 5 {
@@ -58,10 +58,10 @@ fn room(output: &mut [u8], start: usize, length: usize) -> Result<&mut [u8]> {
         .with_context(|| format!("the compressed data holds more than the expected {expected} bytes"))
 }
 
-/// Copies bytes that may overlap with what is being written: a distance of 1 repeats one byte.
+/// Copies bytes that may overlap with their copy: a distance of 1 repeats one byte.
 fn copy_back(output: &mut [u8], at: usize, distance: usize, length: usize) -> Result<()> {
     let from = at.checked_sub(distance).context("the compressed data refers back beyond its beginning")?;
-    // What stands from `from` on repeats itself every `distance` bytes, so that each copy may be twice as long.
+    // The bytes from `from` on repeat every `distance` bytes, so that each copy may be twice as long as the last.
     let mut done = 0;
     while done < length {
         let part = (distance + done).min(length - done);

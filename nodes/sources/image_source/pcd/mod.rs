@@ -1,4 +1,4 @@
-//! Organised point clouds: reads x, y and z of a PCD file, whatever its encoding and the order and types of its fields.
+//! Organised point clouds: reads x, y and z of a PCD file in any encoding, with its fields in any order and of any type.
 
 mod header;
 mod lzf;
@@ -9,27 +9,27 @@ use anyhow::{Context as _, Result, anyhow, bail, ensure};
 use conicflow_messages::Hinted;
 use header::{Encoding, ReadColumn};
 
-/// What to do about a file that cannot be read.
+/// Hint of the errors about unreadable files.
 pub(super) const HINT: &str =
     "save the cloud anew, organised, by PCL's `savePCDFileBinary` for one, or take the file out";
 
-/// The points of one file, row by row; the buffers are kept from file to file.
+/// The points of one file, row by row; its buffers are reused for the next file.
 #[derive(Default)]
 pub(super) struct Cloud {
-    /// Width of the image that the points make.
+    /// Width of the image that the points form.
     pub(super) width: u32,
-    /// Height of the image that the points make.
+    /// Height of the image that the points form.
     pub(super) height: u32,
     columns: [Vec<f32>; 3],
     unpacked: Vec<u8>,
 }
 
-/// Where one coordinate stands.
+/// The position of one coordinate among the fields.
 #[derive(Clone, Copy)]
 struct CoordinateField {
-    /// Which number of a line of text.
+    /// Index among the words of a line of text.
     word: usize,
-    /// First byte in a point, and in a file that is stored field after field.
+    /// Offset in bytes in a point, and (for one point) in a file that is stored field after field.
     in_point: usize,
     in_fields: usize,
     read: ReadColumn,
@@ -37,10 +37,10 @@ struct CoordinateField {
 }
 
 impl Cloud {
-    /// Reads a whole file. Points without measurement have NaN coordinates, as in the file.
+    /// Reads a whole file. Points without a measurement have NaN coordinates, as in the file.
     ///
     /// # Errors
-    /// A header or points that cannot be read; nothing is allocated that the file's length does not account for.
+    /// The header or the points cannot be read. Memory is allocated only as far as the file's length justifies it.
     pub(super) fn read(&mut self, file: &[u8]) -> Result<()> {
         let header = Header::parse(file)?;
         let places = places(&header)?;
@@ -61,13 +61,13 @@ impl Cloud {
         }
     }
 
-    /// The points in the order of the rows; holes have a NaN somewhere.
+    /// Returns the points, row by row; holes have a NaN in some coordinate.
     pub(super) fn points(&self) -> impl Iterator<Item = [f32; 3]> + Clone {
         let [x, y, z] = &self.columns;
         x.iter().zip(y).zip(z).map(|((&x, &y), &z)| [x, y, z])
     }
 
-    /// The z coordinates in the order of the rows.
+    /// Returns the z coordinates, row by row.
     pub(super) fn depths(&self) -> &[f32] {
         &self.columns[2]
     }
@@ -130,7 +130,7 @@ fn places(header: &Header) -> Result<[CoordinateField; 3]> {
     }
 }
 
-/// Refuses a header that promises more points than the file can hold, before memory is taken for them.
+/// Refuses a header that claims more points than the file can hold, before memory is allocated for them.
 fn check_length(header: &Header, data: &[u8]) -> Result<()> {
     let whole = header.points() * header.point_size();
     let needed = match header.encoding {
@@ -146,7 +146,7 @@ fn check_length(header: &Header, data: &[u8]) -> Result<()> {
     Ok(())
 }
 
-/// The compressed bytes, behind their two lengths.
+/// Returns the compressed bytes, which follow their two lengths.
 fn packed_block<'a>(header: &Header, data: &'a [u8]) -> Result<&'a [u8]> {
     let length = |at: usize| {
         let bytes = data.get(at..).and_then(|rest| rest.first_chunk::<4>()).context("the lengths are cut off")?;
