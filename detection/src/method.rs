@@ -6,8 +6,8 @@
 
 use crate::assemble::arcs::Arcs;
 use crate::assemble::choice::{Chosen, choose};
-use crate::assemble::contours::Contours;
-use crate::assemble::growth::{Growing, chain, is_promising};
+use crate::assemble::contours::ContourCalibration;
+use crate::assemble::growth::{RegionGrower, chain, is_promising};
 use crate::assemble::odds::Evidence;
 use crate::assemble::place::overlap;
 use crate::assemble::seeds::Seeds;
@@ -38,7 +38,7 @@ impl Extractor {
         self.ellipses.clear();
         self.rejections = ArcRejections::default();
         for &scan in self.view.parameters.scan.directions() {
-            self.look_along(header, image, scan);
+            self.search_along(header, image, scan);
         }
         &self.ellipses
     }
@@ -63,7 +63,7 @@ impl Extractor {
     }
 
     /// Adds the ellipses of the rows, or of the columns, of an image.
-    pub(crate) fn look_along(&mut self, header: &Header, image: &[u16], scan: Scan) {
+    pub(crate) fn search_along(&mut self, header: &Header, image: &[u16], scan: Scan) {
         let Self { noise, view, search, coarse, columns, ellipses, rejections, .. } = self;
 
         // 2. View: the rows, or the columns, become planes of rays; the largest step within one surface follows from the noise
@@ -100,7 +100,7 @@ impl Extractor {
 impl Assembler {
     /// Returns the objects that the ellipses of one image form.
     pub fn assemble(&mut self, header: &Header, ellipses: &[Ellipse]) -> &[Object] {
-        let Self { parameters, arcs, seeds, growing, contours, objects, candidates, rejections } = self;
+        let Self { parameters, arcs, seeds, grower, contours, objects, candidates, rejections } = self;
         let deadline = parameters.deadline();
         objects.clear();
         candidates.clear();
@@ -113,17 +113,17 @@ impl Assembler {
         contours.next_image(&header.camera, parameters.pooled.contour_memory);
 
         while let Some(seed) = seeds.next(arcs, rejections) {
-            let found = object_around(seed, arcs, seeds, growing, contours, parameters);
+            let found = object_around(seed, arcs, seeds, grower, contours, parameters);
             match found.and_then(|chosen| decide(chosen, objects, candidates, seeds, contours, parameters)) {
                 Ok(()) => continue,
                 // Blobs of noise are the most strongly curved, and cost no fit: they do not count as failed growth.
                 Err(Rejection::FewRows) => {
                     rejections.count(Rejection::FewRows);
-                    seeds.pass_over(&growing.chain);
+                    seeds.exclude(&grower.chain);
                 }
                 Err(reason) => {
                     rejections.count(reason);
-                    seeds.give_up(arcs, &growing.chain, parameters.max_gap());
+                    seeds.give_up(arcs, &grower.chain, parameters.max_gap());
                 }
             }
         }
@@ -136,24 +136,24 @@ fn object_around<'a>(
     seed: usize,
     arcs: &'a Arcs,
     seeds: &Seeds,
-    growing: &'a mut Growing,
-    contours: &mut Contours,
+    grower: &'a mut RegionGrower,
+    contours: &mut ContourCalibration,
     parameters: &AssemblerParameters,
 ) -> Result<Chosen<'a>, Rejection> {
     let free = |arc: usize| seeds.is_free(arc);
 
     // 6. Chain: the seed with its neighbours in the next lines, which have to be numerous and surely curved together
     //    (`growth.rs`).
-    chain(arcs, seed, parameters.max_gap(), free, &mut growing.chain);
-    is_promising(arcs, &growing.chain, parameters)?;
+    chain(arcs, seed, parameters.max_gap(), free, &mut grower.chain);
+    is_promising(arcs, &grower.chain, parameters)?;
 
     // 7. Growth: a sphere, a cylinder and a cone each take in, line after line, the arcs that they explain, and are fitted
     //    again to the moments of all of them, or given up when surely larger than the limits (`growth.rs`, `model.rs`).
-    let grown = growing.models(arcs, parameters, free);
+    let grown = grower.models(arcs, parameters, free);
 
     // 8. Verification: each model is fitted together with its contour; to be a candidate, it has to be seen well enough,
     //    surely curved and near its points (`verify.rs`).
-    let verified = verify_all(arcs, grown, &growing.members, parameters, contours);
+    let verified = verify_all(arcs, grown, &grower.members, parameters, contours);
 
     // 9. Choice: the shape that explains most points with the fewest parameters, reported with its uncertainty
     //    (`choice.rs`, `report.rs`).
@@ -166,7 +166,7 @@ fn decide(
     objects: &mut Vec<Object>,
     candidates: &mut Vec<(Object, Evidence)>,
     seeds: &mut Seeds,
-    contours: &mut Contours,
+    contours: &mut ContourCalibration,
     parameters: &AssemblerParameters,
 ) -> Result<(), Rejection> {
     candidates.push((object, evidence));
@@ -182,6 +182,6 @@ fn decide(
         return Ok(());
     }
     // Growth from any other of its arcs would give the same.
-    seeds.pass_over(candidate.region.members);
+    seeds.exclude(candidate.region.members);
     Err(if is_probable { Rejection::Overlap } else { Rejection::Odds })
 }

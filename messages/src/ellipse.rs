@@ -66,7 +66,7 @@ pub struct Ellipse {
     pub sigma: f64,
     /// How many neighbouring pixels share their noise, as the mean of many tells: its variance is that of one times this
     /// over their number. 1: each has its own, also where this is 0.
-    pub shared_px: f64,
+    pub correlation_px: f64,
     /// The same of neighbouring lines of the image; 0 stands for 1.
     pub shared_lines: f64,
     /// Over how many lines the depths of the points are averaged, by the variance that this leaves; 0 stands for 1, none. So many
@@ -102,7 +102,7 @@ impl Ellipse {
     /// How many of its points count as one whose noise is its own, at least 1: of few points hardly any share it with others.
     pub fn shared(&self) -> f64 {
         let points = f64::from(self.points.max(1));
-        points / ((points - 1.0) / self.shared_px.max(1.0) + 1.0)
+        points / ((points - 1.0) / self.correlation_px.max(1.0) + 1.0)
     }
 
     /// Whether the line and the pixels lie in the image, and the codes are ones that there are.
@@ -116,7 +116,7 @@ impl Ellipse {
     /// Whether there are points, and no deviation or depth is less than none.
     fn is_of_points(&self) -> bool {
         self.sigma >= 0.0
-            && self.shared_px >= 0.0
+            && self.correlation_px >= 0.0
             && self.shared_lines >= 0.0
             && self.averaged_lines >= 0.0
             && self.rms >= 0.0
@@ -132,7 +132,7 @@ impl Ellipse {
             && finite(&self.beyond)
             && finite(&self.contour)
             && finite(self.ends.as_flattened())
-            && finite(&[self.sigma, self.shared_px, self.shared_lines, self.averaged_lines])
+            && finite(&[self.sigma, self.correlation_px, self.shared_lines, self.averaged_lines])
             && finite(&self.origin)
             && finite(&self.moments)
     }
@@ -175,7 +175,7 @@ mod tests {
             |e: &mut Ellipse| e.last = 8,
             |e: &mut Ellipse| e.unbiased = 2,
             |e: &mut Ellipse| e.sigma = -1e-9,
-            |e: &mut Ellipse| e.shared_px = -1e-9,
+            |e: &mut Ellipse| e.correlation_px = -1e-9,
             |e: &mut Ellipse| e.rms = -1e-9,
             |e: &mut Ellipse| e.ends[1][0] = -1e-9,
             |e: &mut Ellipse| e.ends[0][1] = f64::INFINITY,
@@ -192,7 +192,7 @@ mod tests {
     #[test]
     fn noise_that_nothing_tells_of_is_not_shared() {
         assert_eq!(Ellipse::default().shared(), 1.0);
-        let shared = |points| Ellipse { shared_px: 2.5, points, ..Ellipse::default() }.shared();
+        let shared = |points| Ellipse { correlation_px: 2.5, points, ..Ellipse::default() }.shared();
         assert_eq!((shared(1), shared(0)), (1.0, 1.0), "there is none to share it with");
         assert!((shared(10_000) - 2.5).abs() < 1e-3 && shared(6) == 2.0, "{} and {}", shared(10_000), shared(6));
     }

@@ -135,7 +135,7 @@ structs! {
     Object: kind, points, rows, confidence, center, axis, radius, length, half_angle, base_radius, top_radius, apex, sigma, rms, arc;
     Track: id, state, age, misses, reserved, object, velocity, velocity_covariance;
     Ellipse: scan, line, first, last, points, beyond_px, unbiased, line_step, center, plane_center, semi_axes, angle, half_width,
-        half_depth, rms, arc, sigma, shared_px, shared_lines, averaged_lines, beyond, contour, ends, origin, moments;
+        half_depth, rms, arc, sigma, correlation_px, shared_lines, averaged_lines, beyond, contour, ends, origin, moments;
     Velocity: linear, angular, frame, reserved;
 }
 

@@ -224,7 +224,7 @@ mod tests {
             points,
             plane_center: [noise(20), 2.0 + noise(21)],
             semi_axes: [0.1 + noise(22).abs(); 2],
-            shared_px: 3.25,
+            correlation_px: 3.25,
             beyond: [1.234, 0.0],
             moments,
             ..Ellipse::default()

@@ -63,7 +63,7 @@ pub(crate) struct Arc {
     /// Distance at the depth of the arc between neighbouring lines that were searched, in metres.
     pub spacing: f64,
     /// Number of neighbouring pixels of the line that share their noise, at least 1.
-    pub shared_px: f64,
+    pub correlation_px: f64,
     /// Number of neighbouring lines that share their noise, at least 1.
     pub shared_lines: f64,
     /// Number of neighbouring lines that share the noise of their contour, which is not averaged over lines.
@@ -74,7 +74,7 @@ pub(crate) struct Arc {
 
 /// Residuals of the points of an arc from a surface.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Misfit {
+pub(crate) struct Residual {
     /// Mean square distance, without that of the noise.
     pub square: f64,
     /// Mean distance, positive outside.
@@ -121,7 +121,7 @@ impl Arc {
             steps,
             pitch: mean.z * pitch,
             spacing: mean.z * spacing,
-            shared_px: ellipse.shared_px.max(1.0),
+            correlation_px: ellipse.correlation_px.max(1.0),
             shared_lines,
             contour_lines: (shared_lines / ellipse.averaged_lines.max(1.0)).max(1.0),
             bulge: bulge(&moments, variance),
@@ -134,12 +134,12 @@ impl Arc {
     }
 
     /// Returns the residuals of the points from the quadric `q`.
-    pub fn misfit(&self, q: &Coefficients) -> Misfit {
+    pub fn residual(&self, q: &Coefficients) -> Residual {
         let conic = section_about(q, &self.plane, self.moments.origin());
         let c = &conic.coefficients;
         let m = |p, q| self.moments.get(p, q);
         let sum = c[0] * m(2, 0) + c[1] * m(1, 1) + c[2] * m(0, 2) + c[3] * m(1, 0) + c[4] * m(0, 1) + c[5] * m(0, 0);
-        Misfit { square: conic.square_sum(&self.moments) / self.points, mean: sum / self.points }
+        Residual { square: conic.square_sum(&self.moments) / self.points, mean: sum / self.points }
     }
 
     /// Returns whether rays enter the surface `q` at the arc. An open object is also seen from inside, where its far wall has the
@@ -414,7 +414,7 @@ mod tests {
             let points: Vec<_> = (0..20).map(|i| [f64::from(i) / 290.0 * away(i), plane.stretch() * away(i)]).collect();
             let moments = PlaneMoments::of([0.05, 0.9], points.iter().copied());
             let ellipse = Ellipse { origin: moments.origin(), moments: *moments.sums(), ..straight(line, 160, 0.0) };
-            let found = arcs_from(&[ellipse]).arcs[0].misfit(&can.coefficients());
+            let found = arcs_from(&[ellipse]).arcs[0].residual(&can.coefficients());
             let mean = |of: &dyn Fn(f64) -> f64| {
                 points.iter().map(|point| of(off(&can, &plane.to_camera(*point)))).sum::<f64>() / 20.0
             };

@@ -1,6 +1,6 @@
 //! Chooses the shape of an object where several shapes explain it.
 
-use super::contours::Contours;
+use super::contours::ContourCalibration;
 use super::model;
 use super::odds::Evidence;
 use super::parameters::AssemblerParameters;
@@ -15,9 +15,9 @@ const AS_MANY: f64 = 0.9; // [tuned]
 /// Fewest standard deviations by which the half-angle of a cone has to exceed zero.
 const SURE_SIGMAS: f64 = 3.0; // [sigmas]
 /// Least gain of the shape with more parameters, as chi squared: two standard deviations of one parameter.
-const GAIN: f64 = 4.0; // [sigmas]
+const MIN_GAIN: f64 = 4.0; // [sigmas]
 /// Least gain per point, in variances: surfaces and sensors are not exact, and favour one of two shapes a little at each point.
-const GAIN_PER_POINT: f64 = 0.01; // [tuned]
+const MIN_GAIN_PER_POINT: f64 = 0.01; // [tuned]
 /// Standard deviation of a half-angle, in radians (4 degrees), beyond which it is unknown, so that the object is not surely a
 /// cylinder.
 const UNKNOWN_HALF_ANGLE: f64 = 0.07; // [tuned]
@@ -39,7 +39,7 @@ pub(crate) struct Chosen<'a> {
 pub(crate) fn choose<'a>(
     found: Verified<'a>,
     parameters: &AssemblerParameters,
-    contours: &mut Contours,
+    contours: &mut ContourCalibration,
 ) -> Result<Chosen<'a>, Rejection> {
     let mut reasons = found.iter().filter_map(|found| found.as_ref().err()).copied();
     let of_grown = reasons.rfind(|reason| *reason != Rejection::NotGrown);
@@ -103,7 +103,7 @@ fn sure_half_angle(object: &Object) -> f64 {
 
 /// Returns the shape that explains more points; if both explain about as many, the one with more parameters only if it is surely
 /// better.
-fn better<'a>(simple: Candidate<'a>, general: Candidate<'a>, contours: &mut Contours) -> Candidate<'a> {
+fn better<'a>(simple: Candidate<'a>, general: Candidate<'a>, contours: &mut ContourCalibration) -> Candidate<'a> {
     let (a, b) = (simple.measured.points, general.measured.points);
     if a < AS_MANY * b {
         return general;
@@ -114,12 +114,12 @@ fn better<'a>(simple: Candidate<'a>, general: Candidate<'a>, contours: &mut Cont
     let members = if a > b { simple.region.members } else { general.region.members };
     let mut cost = |candidate: &Candidate| cost(Region { members, ..candidate.region }, contours);
     let gain = cost(&simple).zip(cost(&general)).map_or(0.0, |(simple, general)| simple - general);
-    if gain > GAIN.max(GAIN_PER_POINT * a.max(b)) { general } else { simple }
+    if gain > MIN_GAIN.max(MIN_GAIN_PER_POINT * a.max(b)) { general } else { simple }
 }
 
 /// Returns the residual cost of the points and the contour of some members for a model that is fitted to them. Contour points
 /// that the model leaves out count, too, or it would gain by missing them.
-fn cost(mut region: Region, contours: &mut Contours) -> Option<f64> {
+fn cost(mut region: Region, contours: &mut ContourCalibration) -> Option<f64> {
     region.model = model::fit(region.model.kind(), &region.arcs(), Some(&region.model), f64::INFINITY)?;
     let (model, contour) = contours.fit(&region)?;
     Some(model.cost() + contour.least_left_out())
@@ -156,7 +156,8 @@ mod tests {
     fn candidate<'a>(arcs: &'a Arcs, members: &'a [usize], kind: ObjectKind, points: f64) -> Candidate<'a> {
         let model = model::fit(kind, &arcs.of(members), None, f64::INFINITY).unwrap();
         let (count, lines, angle, extent) = (points as u32, members.len() as u32, 2.0, [-0.25, 0.25]);
-        let measured = Measured { count, points, lines, variance: 1e-6, misfit: 0.0, curvature: 100.0, angle, extent };
+        let measured =
+            Measured { count, points, lines, variance: 1e-6, residual: 0.0, curvature: 100.0, angle, extent };
         let outline = Outline { square: 1.0, far_off: 0.0, free: 1.0 };
         Candidate { region: Region { arcs, model, members }, measured, outline, roundness: 0.0 }
     }
@@ -167,7 +168,7 @@ mod tests {
             let (arcs, members) = upright(slope);
             let [simple, general] = [(ObjectKind::Cylinder, points[0]), (ObjectKind::Cone, points[1])]
                 .map(|(kind, points)| candidate(&arcs, &members, kind, points));
-            better(simple, general, &mut Contours::default()).region.model.kind()
+            better(simple, general, &mut ContourCalibration::default()).region.model.kind()
         };
         assert_eq!(chosen(0.0, [899.0, 1000.0]), ObjectKind::Cone);
         assert_eq!(chosen(0.2, [1000.0, 899.0]), ObjectKind::Cylinder);
@@ -183,17 +184,17 @@ mod tests {
         let is_cone = |arcs: &Arcs, points: f64| {
             let [simple, general] =
                 [ObjectKind::Cylinder, ObjectKind::Cone].map(|kind| candidate(arcs, &members, kind, points));
-            better(simple, general, &mut Contours::default()).region.model.kind() == ObjectKind::Cone
+            better(simple, general, &mut ContourCalibration::default()).region.model.kind() == ObjectKind::Cone
         };
         let gain = |arcs: &Arcs| {
             let [simple, general] = [ObjectKind::Cylinder, ObjectKind::Cone].map(|kind| {
                 let model = model::fit(kind, &arcs.of(&members), None, f64::INFINITY).unwrap();
-                cost(Region { arcs, model, members: &members }, &mut Contours::default()).unwrap()
+                cost(Region { arcs, model, members: &members }, &mut ContourCalibration::default()).unwrap()
             });
             simple - general
         };
         let of_many = gain(&arcs);
-        assert!(of_many > 2.0 * GAIN, "{of_many}");
+        assert!(of_many > 2.0 * MIN_GAIN, "{of_many}");
         assert_eq!([99.0, 101.0].map(|times| is_cone(&arcs, times * of_many)), [true, false]);
         // The noise is scaled so that the cone gains slightly less than the limit, or slightly more.
         for (least, will_do) in [(3.8, false), (4.2, true)] {
@@ -213,13 +214,13 @@ mod tests {
         let (arcs, members) = upright_before(&[wall(4.0)], 0.3);
         for (kind, least, most) in [(ObjectKind::Cylinder, 30, 60), (ObjectKind::Cone, 0, 0)] {
             let region = candidate(&arcs, &members, kind, 1000.0).region;
-            let mut contours = Contours::default();
+            let mut contours = ContourCalibration::default();
             let (model, contour) = contours.fit(&region).unwrap();
             let (near, far_off) = (model.cost(), contour.far_off());
             let times = region.shared_lines() / region.contour_lines();
             assert!((least..=most).contains(&far_off), "{kind:?}: {far_off}");
             let expected = near + 3.5_f64.powi(2) * far_off as f64 * times;
-            let cost = cost(region, &mut Contours::default()).unwrap();
+            let cost = cost(region, &mut ContourCalibration::default()).unwrap();
             assert!((cost - expected).abs() < 1e-3 * expected.abs(), "{kind:?}: {cost} {expected}");
         }
     }
@@ -264,7 +265,7 @@ mod tests {
     fn where_nothing_is_left_the_reason_is_that_of_the_most_general_shape_that_grew() {
         let reason = |reasons: [Rejection; 3]| {
             let found = reasons.map(Err);
-            choose(found, &AssemblerParameters::default(), &mut Contours::default()).err()
+            choose(found, &AssemblerParameters::default(), &mut ContourCalibration::default()).err()
         };
         use Rejection::{Gaps, NotGrown, Radius, Short};
         for (reasons, expected) in [
@@ -288,7 +289,7 @@ mod tests {
                 ..candidate(&arcs, &all, kind, points)
             };
             let [simple, general] = [of(ObjectKind::Cylinder, simple), of(ObjectKind::Cone, general)];
-            better(simple, general, &mut Contours::default()).region.model.kind()
+            better(simple, general, &mut ContourCalibration::default()).region.model.kind()
         };
         for (lesser, greater, expected) in [(few, &all[..], ObjectKind::Cone), (&all, few, ObjectKind::Cylinder)] {
             assert_eq!(chosen((greater, 100.0), (lesser, 95.0)), expected);

@@ -47,7 +47,7 @@ pub(super) const FLATTENED_PX: f64 = 0.06; // [measured]
 const EDGE_WIDTH: f64 = 2.0; // [measured]
 
 /// Gate on the displacement of an object, in standard deviations: an object that moved less counts as standing still.
-const STILL: f64 = 3.0; // [sigmas]
+const STILL_SIGMAS: f64 = 3.0; // [sigmas]
 /// Weight of the prior of `NewShare`, in pairs of images: the prior is that images of one object do not differ.
 const UNCOMPARED: f64 = 10.0; // [algorithmic]
 /// Number of images without an object after which it counts as another one when it is seen again, which bounds the work.
@@ -55,27 +55,27 @@ const RECENT_IMAGES: u32 = 30; // [algorithmic]
 
 /// Fits models to contours, one object after another, with the bias and noise that earlier objects showed.
 #[derive(Debug, Default)]
-pub(crate) struct Contours {
+pub(crate) struct ContourCalibration {
     contour: Contour,
     camera: Camera,
     /// Evidence of each object of recent images.
-    recent: Vec<Shown>,
+    recent: Vec<ObjectEvidence>,
     /// Share of that evidence that is new in each image.
     new_share: NewShare,
     /// Evidence of objects that are no longer in `recent`, in rows and in columns.
-    before: [Learned; 2],
+    before: [ContourEvidence; 2],
     /// Sum of all evidence, in rows and in columns.
-    learned: [Learned; 2],
+    learned: [ContourEvidence; 2],
 }
 
 /// Evidence from the images of one object that stands still.
 #[derive(Debug)]
-struct Shown {
+struct ObjectEvidence {
     /// The object as it was last seen.
     object: Object,
     direction: usize,
     /// Mean over its images.
-    learned: Learned,
+    learned: ContourEvidence,
     /// Number of its images, where old ones count less.
     images: f64,
     images_ago: u32,
@@ -96,7 +96,7 @@ struct NewShare {
 
 impl NewShare {
     /// Adds the differences between an image of an object and the mean over its earlier images.
-    fn add(&mut self, before: &Shown, now: &Learned) {
+    fn add(&mut self, before: &ObjectEvidence, now: &ContourEvidence) {
         for side in [0, 1].into_iter().filter(|side| now.points[*side] > 0.0 && before.learned.points[*side] > 0.0) {
             let radius_px = now.radii_px[side] / now.points[side];
             let [(a, variance_a), (b, variance_b)] =
@@ -123,7 +123,7 @@ impl NewShare {
 
 /// Evidence of objects on contours.
 #[derive(Clone, Copy, Debug, Default)]
-struct Learned {
+struct ContourEvidence {
     /// Evidence on the bias: offset and share of the first side, then of the last.
     bias: Information<4>,
     /// Evidence on the variance of contour points: in square pixels, and in squared radii.
@@ -134,7 +134,7 @@ struct Learned {
     points: [f64; 2],
     radii_px: [f64; 2],
     /// Number of further pixels that share the noise of one, from the newest object.
-    window_px: f64,
+    correlation_px: f64,
 }
 
 /// Errors of the contours of a sensor in rows or in columns, estimated from its objects.
@@ -171,7 +171,7 @@ pub struct SideErrors {
     pub outside_px: [f64; 2],
 }
 
-impl Contours {
+impl ContourCalibration {
     /// Discounts the evidence of earlier images before a new image, so that they count for `memory` images together; clears it if
     /// the image is of another camera.
     pub fn next_image(&mut self, camera: &Camera, memory: f64) {
@@ -230,7 +230,7 @@ impl Contours {
     /// Learns the bias and the scatter of contours from an object. If the object may have stood still since it was last seen, its
     /// images count for less than as many objects: its own part of the bias, and noise that stays, are the same in each of them.
     pub fn learn(&mut self, region: &Region, object: &Object) {
-        let own = covariance(own_px(window_px(region)), SYSTEMATIC);
+        let own = covariance(own_sigma_px(correlation_px(region)), SYSTEMATIC);
         let contour = self.select_points(region);
         let shown = of_fit!(&region.model, fit => shown(contour, fit, &region.gradient_noise(fit), &own));
         if let Some((bias, noise)) = shown {
@@ -240,10 +240,11 @@ impl Contours {
             }
             let points = sides.map(|(points, _)| points as f64);
             let radii_px = sides.map(|(points, radius_px)| points as f64 * radius_px);
-            let learned = Learned { bias, noise, objects: 1.0, points, radii_px, window_px: window_px(region) };
+            let learned =
+                ContourEvidence { bias, noise, objects: 1.0, points, radii_px, correlation_px: correlation_px(region) };
             let direction = direction(region.ends()[0].scan);
-            let still = |shown: &Shown| shown.direction == direction && is_still(&shown.object, object);
-            let mut now = Shown { object: *object, direction, learned, images: 1.0, images_ago: 0, kept: 1.0 };
+            let still = |shown: &ObjectEvidence| shown.direction == direction && has_not_moved(&shown.object, object);
+            let mut now = ObjectEvidence { object: *object, direction, learned, images: 1.0, images_ago: 0, kept: 1.0 };
             if let Some(index) = self.recent.iter().position(still) {
                 let before = self.recent.remove(index);
                 self.new_share.add(&before, &learned);
@@ -257,16 +258,16 @@ impl Contours {
 
     /// Returns the noise of a region's contour; its bias has a part common to the sensor and a part of the object's own.
     fn noise(&self, region: &Region) -> ContourNoise {
-        let window = window_px(region);
+        let window = correlation_px(region);
         let learned = &self.learned[direction(region.ends()[0].scan)];
         let (mean, common) = learned.bias_of_all(window);
-        let bias = ContourBias { mean, covariance: common + covariance(own_px(window), SYSTEMATIC) };
+        let bias = ContourBias { mean, covariance: common + covariance(own_sigma_px(window), SYSTEMATIC) };
         let (shared_lines, surface_lines) = (region.contour_lines(), region.shared_lines());
         ContourNoise { point: learned.variance(), shared_lines, surface_lines, bias }
     }
 }
 
-impl Shown {
+impl ObjectEvidence {
     /// Adds the earlier images of the object.
     fn add(&mut self, before: &Self) {
         let images = self.images + before.kept * before.images;
@@ -276,13 +277,13 @@ impl Shown {
     }
 
     /// Evidence of all its images together, with the weight that they have.
-    fn counted(&self, new_share: &NewShare) -> Learned {
+    fn counted(&self, new_share: &NewShare) -> ContourEvidence {
         let Self { learned, images, kept, .. } = *self;
         learned.times(kept * new_share.count(images))
     }
 }
 
-impl AddAssign for Learned {
+impl AddAssign for ContourEvidence {
     fn add_assign(&mut self, other: Self) {
         self.bias += other.bias;
         self.noise += other.noise;
@@ -291,11 +292,11 @@ impl AddAssign for Learned {
             self.points[side] += other.points[side];
             self.radii_px[side] += other.radii_px[side];
         }
-        self.window_px = other.window_px;
+        self.correlation_px = other.correlation_px;
     }
 }
 
-impl Learned {
+impl ContourEvidence {
     /// Scales the evidence, as if observations counted so many times.
     fn times(self, times: f64) -> Self {
         Self {
@@ -304,7 +305,7 @@ impl Learned {
             objects: self.objects * times,
             points: self.points.map(|points| points * times),
             radii_px: self.radii_px.map(|radii| radii * times),
-            window_px: self.window_px,
+            correlation_px: self.correlation_px,
         }
     }
 
@@ -317,7 +318,7 @@ impl Learned {
     /// Returns how far contours of a side are off at a radius of curvature, in pixels, and the variance that the evidence (not
     /// the prior) gives this estimate.
     fn outside(&self, side: usize, radius_px: f64) -> (f64, f64) {
-        let (mean, covariance) = self.bias_of_all(self.window_px);
+        let (mean, covariance) = self.bias_of_all(self.correlation_px);
         let mut parts = Vector4::zeros();
         (parts[2 * side], parts[2 * side + 1]) = (1.0, radius_px);
         let weights = covariance * parts;
@@ -334,7 +335,7 @@ impl Learned {
 
     /// Returns the errors in one direction of scanning.
     fn errors(&self, scan: Scan) -> ContourErrors {
-        let (mean, covariance) = self.bias_of_all(self.window_px);
+        let (mean, covariance) = self.bias_of_all(self.correlation_px);
         let side = |side: usize| {
             let points = self.points[side];
             let radius_px = if points > 0.0 { self.radii_px[side] / points } else { 0.0 };
@@ -381,7 +382,7 @@ fn unknown(window: f64) -> Matrix4<f64> {
 
 /// Returns the standard deviation of an object's own contour error in pixels, where `window` further pixels share the noise of
 /// one.
-fn own_px(window: f64) -> f64 {
+fn own_sigma_px(window: f64) -> f64 {
     SYSTEMATIC_PX + FLATTENED_PX * window
 }
 
@@ -392,15 +393,15 @@ pub(super) fn edge_px(contour: &Contour) -> f64 {
 }
 
 /// Returns the number of further pixels that share the noise of one.
-fn window_px(region: &Region) -> f64 {
-    region.ends()[0].shared_px - 1.0
+fn correlation_px(region: &Region) -> f64 {
+    region.ends()[0].correlation_px - 1.0
 }
 
 /// Returns whether the displacement of an object is within the noise.
-fn is_still(before: &Object, now: &Object) -> bool {
+fn has_not_moved(before: &Object, now: &Object) -> bool {
     let covariance = [before, now].map(|object| Matrix3::from(object.sigma.center)).iter().sum::<Matrix3<f64>>();
     let moved = Vector3::from(now.center) - Vector3::from(before.center);
-    covariance.cholesky().is_some_and(|root| moved.dot(&root.solve(&moved)) <= STILL * STILL)
+    covariance.cholesky().is_some_and(|root| moved.dot(&root.solve(&moved)) <= STILL_SIGMAS * STILL_SIGMAS)
 }
 
 /// Returns 0 for rows, 1 for columns.
@@ -427,12 +428,17 @@ mod tests {
 
     /// Evidence that columns showed of this camera: on the first side contours lie half a pixel and 1 % of the radius outwards,
     /// on the last half a pixel inwards and 2 % outwards.
-    fn learned() -> Contours {
+    fn learned() -> ContourCalibration {
         let bias = Information::of(&Vector4::new(-0.5, -0.01, -0.5, 0.02), &covariance(1e-5, 1e-6)).unwrap();
-        let learned =
-            Learned { bias, objects: 3.0, points: [10.0, 4.0], radii_px: [200.0, 40.0], ..Learned::default() };
-        let learned = [Learned::default(), learned];
-        Contours { camera: CAMERA, before: learned, learned, ..Contours::default() }
+        let learned = ContourEvidence {
+            bias,
+            objects: 3.0,
+            points: [10.0, 4.0],
+            radii_px: [200.0, 40.0],
+            ..ContourEvidence::default()
+        };
+        let learned = [ContourEvidence::default(), learned];
+        ContourCalibration { camera: CAMERA, before: learned, learned, ..ContourCalibration::default() }
     }
 
     #[test]
@@ -456,7 +462,7 @@ mod tests {
     #[test]
     fn what_was_learned_counts_less_with_each_image_and_nothing_with_another_camera() {
         let mut contours = learned();
-        let points = |contours: &Contours| contours.errors().map(|told| (told.objects, told.sides)).next();
+        let points = |contours: &ContourCalibration| contours.errors().map(|told| (told.objects, told.sides)).next();
         let (_, before) = points(&contours).unwrap();
         contours.next_image(&CAMERA, 4.0);
         let (objects, sides) = points(&contours).unwrap();
@@ -483,7 +489,7 @@ mod tests {
         (arcs, members)
     }
 
-    fn fitted<'a>(arcs: &'a Arcs, members: &'a [usize], contours: &mut Contours) -> Region<'a> {
+    fn fitted<'a>(arcs: &'a Arcs, members: &'a [usize], contours: &mut ContourCalibration) -> Region<'a> {
         let model = model::fit(ObjectKind::Sphere, &arcs.of(members), None, f64::INFINITY).unwrap();
         let region = Region { arcs, model, members };
         Region { model: contours.fit(&region).unwrap().0, ..region }
@@ -503,7 +509,7 @@ mod tests {
 
     #[test]
     fn an_object_whose_images_do_not_differ_counts_once_however_often_it_is_seen_in_its_place() {
-        let ((arcs, members), mut contours) = (ball(Scan::Row), Contours::default());
+        let ((arcs, members), mut contours) = (ball(Scan::Row), ContourCalibration::default());
         let region = fitted(&arcs, &members, &mut contours);
         let mut told = |objects: &[f64]| {
             contours.next_image(&CAMERA, 4.0);
@@ -535,14 +541,25 @@ mod tests {
             let (mut new_share, mut told) = (NewShare::default(), 0.0);
             for _ in 0..20 {
                 let own = Vector4::from_fn(|_, _| normal(0.01 * (1.0 - share)));
-                let mut before: Option<Shown> = None;
+                let mut before: Option<ObjectEvidence> = None;
                 for _ in 0..40 {
                     let seen = own + Vector4::from_fn(|_, _| normal(0.01 * share));
                     let bias = Information::of(&seen, &Matrix4::from_diagonal_element(0.01)).unwrap();
-                    let learned =
-                        Learned { bias, objects: 1.0, points: [9.0; 2], radii_px: [9.0; 2], ..Learned::default() };
-                    let mut now =
-                        Shown { object: ball_at(0.0), direction: 0, learned, images: 1.0, images_ago: 0, kept: 1.0 };
+                    let learned = ContourEvidence {
+                        bias,
+                        objects: 1.0,
+                        points: [9.0; 2],
+                        radii_px: [9.0; 2],
+                        ..ContourEvidence::default()
+                    };
+                    let mut now = ObjectEvidence {
+                        object: ball_at(0.0),
+                        direction: 0,
+                        learned,
+                        images: 1.0,
+                        images_ago: 0,
+                        kept: 1.0,
+                    };
                     if let Some(before) = before {
                         new_share.add(&before, &learned);
                         now.add(&before);
@@ -564,7 +581,7 @@ mod tests {
         let depth = (DISTANCE.powi(2) - RADIUS.powi(2)) / DISTANCE;
         let expected_px = KINECT_HALF.fx * RADIUS / depth;
         for scan in [Scan::Row, Scan::Column] {
-            let ((arcs, members), mut contours) = (ball(scan), Contours::default());
+            let ((arcs, members), mut contours) = (ball(scan), ContourCalibration::default());
             let (region, mut points) = (fitted(&arcs, &members, &mut contours), [0.0; 2]);
             for count in [1.0, 2.0, 3.0] {
                 contours.learn(&region, &ball_at(count));
@@ -583,7 +600,7 @@ mod tests {
     #[test]
     fn of_what_shows_no_contour_none_is_learned_and_nothing_of_a_side_that_shows_none() {
         let told = |shows: [bool; 2]| {
-            let ((mut arcs, members), mut contours) = (ball(Scan::Row), Contours::default());
+            let ((mut arcs, members), mut contours) = (ball(Scan::Row), ContourCalibration::default());
             arcs.arcs
                 .iter_mut()
                 .for_each(|arc| arc.contour = [0, 1].map(|side| arc.contour[side].filter(|_| shows[side])));
@@ -606,8 +623,8 @@ mod tests {
         let known = (Vector4::new(-0.5, -0.01, -0.5, 0.02), Matrix4::zeros());
         for (scan, (mean, common)) in [(Scan::Row, (Vector4::zeros(), unknown)), (Scan::Column, known)] {
             let (mut arcs, members) = ball(scan);
-            arcs.arcs.iter_mut().for_each(|arc| arc.shared_px = 3.0);
-            let region = fitted(&arcs, &members, &mut Contours::default());
+            arcs.arcs.iter_mut().for_each(|arc| arc.correlation_px = 3.0);
+            let region = fitted(&arcs, &members, &mut ContourCalibration::default());
             let ContourBias { mean: found, covariance: of } = learned().noise(&region).bias;
             let expected = common + covariance(SYSTEMATIC_PX + 2.0 * FLATTENED_PX, SYSTEMATIC);
             assert!((found - mean).norm() < 1e-6, "{scan:?}: {found}");
@@ -619,10 +636,10 @@ mod tests {
 
     #[test]
     fn what_is_expected_of_the_scatter_may_be_wrong_by_as_much_as_it_is() {
-        let before = Learned::default().variance();
+        let before = ContourEvidence::default().variance();
         // The evidence is as uncertain as the prior, so the estimate is the mean of both.
         let shown = Information::of(&(before * 3.0), &Matrix2::from_diagonal(&before.map(|variance| variance.powi(2))));
-        let told = Learned { noise: shown.unwrap(), ..Learned::default() }.variance();
+        let told = ContourEvidence { noise: shown.unwrap(), ..ContourEvidence::default() }.variance();
         assert!((told - before * 2.0).component_div(&before).norm() < 1e-9, "{told} {before}");
     }
 }

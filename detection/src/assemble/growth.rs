@@ -1,6 +1,6 @@
 //! Growth of an object: a model starts from a few neighbouring arcs, and takes in line after line the arcs that it explains.
 
-use super::arcs::{Arc, Arcs, Misfit};
+use super::arcs::{Arc, Arcs, Residual};
 use super::model::{self, Model, Predictor};
 use super::parameters::AssemblerParameters;
 use super::region::Region;
@@ -33,7 +33,7 @@ const MAX_GAP_SHARE: f64 = 0.5; // [tuned]
 const MIN_LINES_PER_GAP_LINE: f64 = 0.1; // [tuned]
 
 /// Standard deviations by which a radius has to exceed its limit for the model to count as a wall.
-const TOO_LARGE: f64 = 4.0; // [sigmas]
+const WALL_SIGMAS: f64 = 4.0; // [sigmas]
 
 /// Gate on the residuals of an arc from a model to which it may belong.
 pub(crate) struct Gate {
@@ -60,11 +60,11 @@ pub(crate) const NOISE_ONLY: Gate = Gate { scatter: 2.5, slack: 0.0 }; // [sigma
 const ALONG_ARC: f64 = 4.0; // [tuned]
 
 impl Gate {
-    /// Returns whether an arc may have this misfit, given the variance of the model at the arc, in square metres.
-    pub fn admits(&self, arc: &Arc, misfit: &Misfit, uncertainty: f64) -> bool {
+    /// Returns whether an arc may have this residual, given the variance of the model at the arc, in square metres.
+    pub fn admits(&self, arc: &Arc, residual: &Residual, uncertainty: f64) -> bool {
         let square = arc.variance * self.square_limit(arc.points) + ALONG_ARC * uncertainty;
         let scatter = (arc.variance / arc.points + uncertainty).sqrt();
-        misfit.square <= square && misfit.mean.abs() <= (self.slack * arc.variance).sqrt() + self.scatter * scatter
+        residual.square <= square && residual.mean.abs() <= (self.slack * arc.variance).sqrt() + self.scatter * scatter
     }
 
     /// Returns the limit on the mean square, in variances of a point.
@@ -75,7 +75,7 @@ impl Gate {
 
 /// Buffers of the growth.
 #[derive(Debug, Default)]
-pub(crate) struct Growing {
+pub(crate) struct RegionGrower {
     /// The seed with its neighbours.
     pub chain: Vec<usize>,
     spare: Vec<usize>,
@@ -83,7 +83,7 @@ pub(crate) struct Growing {
     pub members: [Vec<usize>; ObjectKind::ALL.len()],
 }
 
-impl Growing {
+impl RegionGrower {
     /// Grows a sphere, a cylinder and a cone from the chain; returns each model, or why it was rejected. If a cylinder explains
     /// the whole chain, a sphere has to explain it all, too. A cone starts from the lines that the cylinder reached, because its
     /// slope shows only over many lines.
@@ -189,7 +189,7 @@ fn grow_on(
         model = model::fit(kind, &arcs.of(members), Some(&model), f64::INFINITY).ok_or(Rejection::NotGrown)?;
         let (radius, variance) = model.radius();
         let sigma = (variance * arcs.shared_lines(members)).sqrt();
-        if radius - TOO_LARGE * sigma > *parameters.radii_m(kind).end() {
+        if radius - WALL_SIGMAS * sigma > *parameters.radii_m(kind).end() {
             return Err(Rejection::Radius);
         }
     }
@@ -237,10 +237,11 @@ fn reach(region: &Region, gap: i64, free: impl Fn(usize) -> bool, found: &mut Ve
     let (q, predictor) = (model.coefficients(), Predictor::new(model));
     let accept = |index: usize| {
         let arc = &arcs.arcs[index];
-        // Computes the uncertainty of the model only where the noise alone does not explain the misfit.
-        let admits =
-            |misfit| GROWING.admits(arc, &misfit, 0.0) || GROWING.admits(arc, &misfit, predictor.variance(&arc.mean));
-        free(index) && model.misfit(&q, arc).is_some_and(admits)
+        // Computes the uncertainty of the model only where the noise alone does not explain the residual.
+        let admits = |residual| {
+            GROWING.admits(arc, &residual, 0.0) || GROWING.admits(arc, &residual, predictor.variance(&arc.mean))
+        };
+        free(index) && model.residual(&q, arc).is_some_and(admits)
     };
     found.clear();
     for side in [-1, 1] {
@@ -265,7 +266,7 @@ fn clean(arcs: &Arcs, model: &Model, members: &mut Vec<usize>) {
     let q = model.coefficients();
     let admits = |gate: &Gate, index: usize| {
         let arc = &arcs.arcs[index];
-        model.misfit(&q, arc).is_some_and(|misfit| gate.admits(arc, &misfit, 0.0))
+        model.residual(&q, arc).is_some_and(|residual| gate.admits(arc, &residual, 0.0))
     };
     members.retain(|&index| admits(&SETTLED, index));
     let last = members.iter().rposition(|&index| admits(&AT_ENDS, index)).map_or(0, |last| last + 1);
@@ -333,7 +334,7 @@ mod tests {
         arc.points = 1e8;
         let sigma = arc.variance.sqrt();
         for (gate, most) in [(GROWING, 0.3_f64.sqrt()), (SETTLED, 0.15_f64.sqrt()), (NOISE_ONLY, 0.0)] {
-            let admits = |mean: f64| gate.admits(&arc, &Misfit { square: 0.0, mean: mean * sigma }, 0.0);
+            let admits = |mean: f64| gate.admits(&arc, &Residual { square: 0.0, mean: mean * sigma }, 0.0);
             assert_eq!([0.99 * most, most + 0.01, -most - 0.01].map(admits), [true, false, false], "{most}");
         }
     }
@@ -469,7 +470,7 @@ mod tests {
     #[test]
     fn what_a_cylinder_explains_as_a_whole_is_no_sphere_because_of_its_middle() {
         let (arcs, [left, _]) = two_cans();
-        let mut growing = Growing { chain: left, ..Growing::default() };
+        let mut growing = RegionGrower { chain: left, ..RegionGrower::default() };
         let [sphere, cylinder, _] = growing.models(&arcs, &AssemblerParameters::default(), |_| true);
         assert!(matches!(sphere, Err(Rejection::NotGrown)) && cylinder.is_ok(), "{sphere:?}");
     }
@@ -491,7 +492,7 @@ mod tests {
         let (arcs, _) = two_cans();
         let (mut arc, unsure) = (arcs.arcs[0].clone(), 0.01_f64);
         arc.points = 1e8;
-        let admits = |square: f64, mean: f64| NOISE_ONLY.admits(&arc, &Misfit { square, mean }, unsure * unsure);
+        let admits = |square: f64, mean: f64| NOISE_ONLY.admits(&arc, &Residual { square, mean }, unsure * unsure);
         assert_eq!([2.4, 2.6].map(|sigmas| admits(0.0, sigmas * unsure)), [true, false]);
         assert_eq!([3.9, 4.1].map(|squares| admits(squares * unsure * unsure, 0.0)), [true, false]);
     }
@@ -540,7 +541,7 @@ mod tests {
     fn what_has_grown_is_fitted_to_all_that_it_explains() {
         let (can, ball) = (Vector3::new(0.0, 0.25, 1.4), Vector3::new(0.0, -0.02, 1.4));
         let arcs = arcs_of(&[cylinder(can, Vector3::y(), 0.1, 0.3), sphere(ball, 0.12)]);
-        let (mut growing, parameters, mut grown) = (Growing::default(), AssemblerParameters::default(), 0);
+        let (mut growing, parameters, mut grown) = (RegionGrower::default(), AssemblerParameters::default(), 0);
         for seed in rows_of(&arcs, |_| true) {
             chain(&arcs, seed, parameters.max_gap(), |_| true, &mut growing.chain);
             let models = growing.models(&arcs, &parameters, |_| true);

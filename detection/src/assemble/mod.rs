@@ -31,8 +31,8 @@ pub use report::end_sigma;
 
 use arcs::Arcs;
 use conicflow_messages::Object;
-use contours::Contours;
-use growth::Growing;
+use contours::ContourCalibration;
+use growth::RegionGrower;
 use odds::Evidence;
 use seeds::Seeds;
 
@@ -43,8 +43,8 @@ pub struct Assembler {
     pub(crate) parameters: AssemblerParameters,
     pub(crate) arcs: Arcs,
     pub(crate) seeds: Seeds,
-    pub(crate) growing: Growing,
-    pub(crate) contours: Contours,
+    pub(crate) grower: RegionGrower,
+    pub(crate) contours: ContourCalibration,
     pub(crate) objects: Vec<Object>,
     pub(crate) candidates: Vec<(Object, Evidence)>,
     pub(crate) rejections: Rejections,
@@ -57,8 +57,8 @@ impl Assembler {
             parameters,
             arcs: Arcs::default(),
             seeds: Seeds::default(),
-            growing: Growing::default(),
-            contours: Contours::default(),
+            grower: RegionGrower::default(),
+            contours: ContourCalibration::default(),
             objects: Vec::new(),
             candidates: Vec::new(),
             rejections: Rejections::default(),

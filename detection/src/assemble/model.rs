@@ -1,6 +1,6 @@
 //! The three models and their fits to the pooled moments of some arcs.
 
-use super::arcs::{Arc, Misfit};
+use super::arcs::{Arc, Residual};
 use super::region::Region;
 use conicflow_geometry::{
     ArcFit, Coefficients, Conical, Line, LineMoments, Prediction, QuadricMoments, SpaceMoments, Sphere, Surface,
@@ -119,10 +119,10 @@ impl Model {
     }
 
     /// Returns the residuals of an arc from the model, whose coefficients are `q`; `None` near and beyond the apex of a cone.
-    pub fn misfit(&self, q: &Coefficients, arc: &Arc) -> Option<Misfit> {
+    pub fn residual(&self, q: &Coefficients, arc: &Arc) -> Option<Residual> {
         let ratio = self.radius_ratio(arc);
-        let Misfit { square, mean } = arc.misfit(q);
-        (ratio > MIN_RADIUS_RATIO).then(|| Misfit { square: square / (ratio * ratio), mean: mean / ratio })
+        let Residual { square, mean } = arc.residual(q);
+        (ratio > MIN_RADIUS_RATIO).then(|| Residual { square: square / (ratio * ratio), mean: mean / ratio })
     }
 }
 
@@ -282,7 +282,7 @@ fn round_about(moments: &QuadricMoments, axis: &Vector3) -> Option<(f64, Conical
 #[cfg(test)]
 mod tests {
     use super::super::arcs::Arcs;
-    use super::super::contours::Contours;
+    use super::super::contours::ContourCalibration;
     use super::super::tests::{arcs_by, arcs_of, rows_of, wall};
     use super::*;
     use conicflow_geometry::fit_with_contour;
@@ -319,7 +319,7 @@ mod tests {
         let ratios: Vec<_> = arcs.of(&rows).map(|arc| model.radius_ratio(arc)).collect();
         assert!(ratios.iter().any(|ratio| *ratio < 0.8) && ratios.iter().any(|ratio| *ratio > 1.3));
         for arc in arcs.of(&rows) {
-            let Misfit { square, mean } = model.misfit(&model.coefficients(), arc).unwrap();
+            let Residual { square, mean } = model.residual(&model.coefficients(), arc).unwrap();
             assert!((mean / depth - 1.0).abs() < 0.1, "{mean} m, where it is {} m wide", cone.radius_at(&arc.mean));
             assert!((square / (depth * depth) - 1.0).abs() < 0.2, "{square}, {} m wide", cone.radius_at(&arc.mean));
         }
@@ -330,7 +330,7 @@ mod tests {
         let cone = cone();
         let arcs = arcs_of(&[body(&cone), wall(4.0)]);
         let rows = rows_of(&arcs, |arc| arc.mean.z < 2.5);
-        let (fit, mut contours) = (fitted(&arcs, &rows), Contours::default());
+        let (fit, mut contours) = (fitted(&arcs, &rows), ContourCalibration::default());
         let region = Region { arcs: &arcs, model: Model::Cone(fit), members: &rows };
         let (_, contour) = contours.fit(&region).unwrap();
         let points = pool_within(&region, 0.0).normalized().unwrap();
@@ -359,7 +359,7 @@ mod tests {
         let rows = rows_of(&arcs, |arc| arc.mean.z < 2.5);
         for kind in [ObjectKind::Cylinder, ObjectKind::Cone] {
             let model = fit(kind, &arcs.of(&rows), None, f64::INFINITY).unwrap();
-            let mut contours = Contours::default();
+            let mut contours = ContourCalibration::default();
             let (model, _) = contours.fit(&Region { arcs: &arcs, model, members: &rows }).unwrap();
             let (square_sum, contour_sum) = of_fit!(&model, fit => (fit.square_sum, fit.contour_sum));
             assert!(model.cost() == square_sum + contour_sum && contour_sum > 1.0, "{kind:?}: {contour_sum}");

@@ -16,8 +16,8 @@ use conicflow_messages::{Object, ObjectKind};
 const MOST_OUTLINE: f64 = 5.0; // [algorithmic]
 /// Upper bound of the visible length, in radii: longer objects count as this long.
 const MOST_LENGTH: f64 = 3.0; // [algorithmic]
-/// Upper bound of the mean square misfit, in variances: where there is almost no noise, any misfit is many variances.
-const MOST_MISFIT: f64 = 2.0; // [algorithmic]
+/// Upper bound of the mean square residual, in variances: where there is almost no noise, any residual is many variances.
+const MOST_RESIDUAL: f64 = 2.0; // [algorithmic]
 /// Added to standard deviations in radii, so that their logarithms stay finite.
 const LEAST_SIGMA: f64 = 0.003; // [algorithmic]
 /// A surface beyond an end counts as the same surface while its arcs are within this mean distance of the object's surface, in
@@ -38,7 +38,7 @@ pub struct Evidence {
     /// Standard deviation of a point, in radii. The noisier it is, the less a wrong shape would show.
     pub noise_radii: f64,
     /// Mean square distance of its points from the surface, less that of the noise, in variances of a point.
-    pub misfit: f64,
+    pub residual: f64,
     /// Mean square distance of its outline from that of the shape, in variances of an outline's point.
     pub outline_square: f64,
     /// Share of its outline that is far from that of the shape.
@@ -77,7 +77,7 @@ impl Evidence {
             free_ends: outline.free,
             radius_sigma: object.sigma.radius / object.radius,
             noise_radii: measured.variance.sqrt() / object.radius,
-            misfit: measured.misfit,
+            residual: measured.residual,
             outline_square: outline.square,
             outline_far_off: outline.far_off,
             length_radii: object.length / object.radius,
@@ -96,7 +96,7 @@ impl Evidence {
             self.free_ends,
             (self.radius_sigma + LEAST_SIGMA).ln(),
             (self.noise_radii + LEAST_SIGMA).ln(),
-            self.misfit.min(MOST_MISFIT),
+            self.residual.min(MOST_RESIDUAL),
             self.outline_square.min(MOST_OUTLINE),
             self.outline_far_off,
             self.length_radii.min(MOST_LENGTH),
@@ -123,9 +123,9 @@ fn goes_on(region: &Region, side: i64, gap: i64, radius: f64) -> f64 {
     let (q, end) = (region.model.coefficients(), region.ends()[usize::from(side > 0)]);
     let lines_to = |arc: &Arc| f64::from(arc.line.abs_diff(end.line));
     let followed = region.beyond(side, gap).take_while(|arc| lines_to(arc) * end.spacing <= MOST_BEYOND * radius);
-    let misfits = followed.map_while(|arc| Some((arc, region.model.misfit(&q, arc)?)));
-    let near = misfits.take_while(|(_, misfit)| misfit.mean.abs() < NEAR * radius);
-    let last_off = near.filter(|(arc, misfit)| !NOISE_ONLY.admits(arc, misfit, 0.0)).last();
+    let residuals = followed.map_while(|arc| Some((arc, region.model.residual(&q, arc)?)));
+    let near = residuals.take_while(|(_, residual)| residual.mean.abs() < NEAR * radius);
+    let last_off = near.filter(|(arc, residual)| !NOISE_ONLY.admits(arc, residual, 0.0)).last();
     let lines = last_off.map_or(0.0, |(arc, _)| lines_to(arc));
     (lines - 0.5 * (region.shared_lines() - 1.0)).max(0.0) * end.spacing / radius
 }
@@ -149,7 +149,7 @@ mod tests {
         free_ends: 0.9,
         radius_sigma: 0.01,
         noise_radii: 0.02,
-        misfit: 0.0,
+        residual: 0.0,
         outline_square: 1.0,
         outline_far_off: 0.05,
         length_radii: 1.0,
@@ -203,7 +203,7 @@ mod tests {
             (Evidence { free_ends: 1.0, ..EVIDENCE }, Evidence { free_ends: 0.5, ..EVIDENCE }),
             (Evidence { radius_sigma: 0.005, ..EVIDENCE }, Evidence { radius_sigma: 0.05, ..EVIDENCE }),
             (Evidence { noise_radii: 0.01, ..EVIDENCE }, Evidence { noise_radii: 0.1, ..EVIDENCE }),
-            (Evidence { misfit: -0.1, ..EVIDENCE }, Evidence { misfit: 0.5, ..EVIDENCE }),
+            (Evidence { residual: -0.1, ..EVIDENCE }, Evidence { residual: 0.5, ..EVIDENCE }),
             (Evidence { outline_square: 0.8, ..EVIDENCE }, Evidence { outline_square: 2.0, ..EVIDENCE }),
             (Evidence { length_radii: 2.0, ..EVIDENCE }, Evidence { length_radii: 0.5, ..EVIDENCE }),
             (Evidence { continued: 0.0, ..EVIDENCE }, Evidence { continued: 1.0, ..EVIDENCE }),
@@ -213,7 +213,7 @@ mod tests {
         ] {
             assert!(odds(better) > odds(EVIDENCE) && odds(EVIDENCE) > odds(worse) + 0.1, "{better:?} {worse:?}");
         }
-        let [at_most, ideal] = [2.0, 1e6].map(|misfit| odds(Evidence { misfit, noise_radii: 0.0, ..EVIDENCE }));
+        let [at_most, ideal] = [2.0, 1e6].map(|residual| odds(Evidence { residual, noise_radii: 0.0, ..EVIDENCE }));
         assert!(at_most == ideal && ideal.is_finite(), "{at_most} {ideal}");
     }
 

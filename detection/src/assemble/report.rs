@@ -37,7 +37,7 @@ pub(super) fn report(region: &Region, measured: &Measured) -> Object {
         points: measured.count,
         rows: measured.lines,
         center: center.into(),
-        rms: (measured.misfit.max(0.0) * measured.variance).sqrt(),
+        rms: (measured.residual.max(0.0) * measured.variance).sqrt(),
         arc: measured.angle,
         ..Object::default()
     };
@@ -73,12 +73,12 @@ pub(super) fn report(region: &Region, measured: &Measured) -> Object {
             cone(object, &surface, half_angle, sigma, measured)
         }
     };
-    with_faults(object, first.pitch)
+    with_systematic_errors(object, first.pitch)
 }
 
 /// Adds the systematic errors of sensors to the standard deviations of an object; `pixel` is the size of a pixel there, in
 /// metres.
-fn with_faults(mut object: Object, pixel: f64) -> Object {
+fn with_systematic_errors(mut object: Object, pixel: f64) -> Object {
     let error = (SYSTEMATIC * object.radius).hypot(SYSTEMATIC_PX * pixel);
     add_error(&mut object, error);
     object
@@ -86,7 +86,7 @@ fn with_faults(mut object: Object, pixel: f64) -> Object {
 
 /// Adds to the standard deviations of an object the flattening of its silhouettes by the sensor; `arc` is one of its arcs.
 pub(super) fn add_flattening(object: &mut Object, arc: &Arc) {
-    add_error(object, FLATTENED_PX * (arc.shared_px - 1.0) * arc.pitch);
+    add_error(object, FLATTENED_PX * (arc.correlation_px - 1.0) * arc.pitch);
 }
 
 /// Adds a systematic error in metres to the standard deviations of the radius, the centre and the angles: both ends may be off,
@@ -174,7 +174,7 @@ mod tests {
 
     fn measured(extent: [f64; 2]) -> Measured {
         let (count, points, lines, angle) = (1000, 900.0, 50, 2.0);
-        Measured { count, points, lines, variance: 4e-6, misfit: 0.25, curvature: 100.0, angle, extent }
+        Measured { count, points, lines, variance: 4e-6, residual: 0.25, curvature: 100.0, angle, extent }
     }
 
     /// A covariance in which all six parameters are correlated.
@@ -207,7 +207,7 @@ mod tests {
         let sigma = ObjectSigma { radius: 0.001, axis: 0.001, half_angle: 0.001, ..ObjectSigma::default() };
         let of = |kind: ObjectKind| {
             let object = Object { kind: kind.code(), radius: 0.2, length: 0.1, sigma, ..Object::default() };
-            with_faults(object, 0.005).sigma
+            with_systematic_errors(object, 0.005).sigma
         };
         let error = (SYSTEMATIC * 0.2).hypot(SYSTEMATIC_PX * 0.005);
         let angle = 0.001_f64.hypot(SQRT_2 * error / 0.1);
@@ -290,15 +290,15 @@ mod tests {
         assert!((told.length - 0.6).abs() < 1e-12 && told.shape() == ObjectKind::Cylinder);
     }
 
-    /// An arc of 20 points at a distance of one metre, of which `shared_px` share their noise.
-    fn arc(shared_px: f64) -> Arc {
+    /// An arc of 20 points at a distance of one metre, of which `correlation_px` share their noise.
+    fn arc(correlation_px: f64) -> Arc {
         let camera = Camera { width: 640, height: 480, fx: 500.0, fy: 500.0, cx: 319.5, cy: 239.5 };
         let mut ellipse = Ellipse {
             line: 240,
             first: 310,
             last: 329,
             points: 20,
-            shared_px,
+            correlation_px,
             origin: [0.0, 1.0],
             ..Ellipse::default()
         };
@@ -312,9 +312,9 @@ mod tests {
     fn what_windows_flatten_is_an_error_of_the_size_and_of_the_axis() {
         let sigma = ObjectSigma { radius: 0.0003, axis: 0.01, ..ObjectSigma::default() };
         let can = Object { kind: ObjectKind::Cylinder.code(), radius: 0.04, length: 0.1, sigma, ..Object::default() };
-        let told = |shared_px: f64| {
+        let told = |correlation_px: f64| {
             let mut object = can;
-            add_flattening(&mut object, &arc(shared_px));
+            add_flattening(&mut object, &arc(correlation_px));
             object.sigma
         };
         assert_eq!(told(1.0), sigma, "each pixel has noise of its own");

@@ -41,7 +41,7 @@ fn log_ratio<const K: usize>(
 #[cfg(test)]
 mod tests {
     use super::super::arcs::Arc;
-    use super::super::contours::Contours;
+    use super::super::contours::ContourCalibration;
     use super::super::model;
     use super::super::tests::{arcs_of, wall};
     use super::*;
@@ -69,7 +69,7 @@ mod tests {
         let members: Vec<_> = (0..arcs.arcs.len()).filter(|&index| is_of_it(&arcs.arcs[index])).collect();
         let model = model::fit(kind, &arcs.of(&members), None, f64::INFINITY).unwrap();
         let mut region = Region { arcs: &arcs, model, members: &members };
-        let mut contours = Contours::default();
+        let mut contours = ContourCalibration::default();
         let (fitted, contour) = contours.fit(&region).unwrap();
         region.model = fitted;
         roundness(&region, contour)

@@ -13,7 +13,7 @@ use std::time::Instant;
 /// Largest number of seeds in an image from which growth may fail. It bounds the time, and later finds are seldom right: with 8,
 /// 10 and 14, recordings that are turned and mirrored in five ways show 486, 489 and 491 of 520 objects, and 37, 38 and 40 wrong
 /// ones; furnished rooms, seen by a Kinect, 106, 106 and 108 of 114, with 8, 10 and 13 wrong ones.
-pub(super) const MAX_VAIN: usize = 10; // [measured]
+pub(super) const MAX_FAILED: usize = 10; // [measured]
 /// Distance beyond the visible ends of an object within which arcs are tested for belonging to it, in radii; arcs farther off
 /// hardly ever belong to it.
 const SPARE_REACH: f64 = 1.5; // [algorithmic]
@@ -27,9 +27,9 @@ pub(crate) struct Seeds {
     /// with the lower index comes first.
     order: BinaryHeap<(u64, Reverse<usize>)>,
     /// Number of seeds from which growth failed.
-    vain: usize,
+    failed: usize,
     /// Number of these seeds whose surface each arc is connected with.
-    vain_beside: Vec<u32>,
+    failed_beside: Vec<u32>,
     /// Time to stop; `None`: never.
     deadline: Option<Instant>,
     taken: Vec<bool>,
@@ -40,20 +40,20 @@ pub(crate) struct Seeds {
 }
 
 /// Returns the worth of an arc as a seed: by how many standard deviations it is curved, times the chance of growth on a surface
-/// where it failed `vain` times (Laplace's rule of succession). The bits of non-negative numbers have the order of the numbers.
-fn worth(arc: &Arc, vain: u32) -> u64 {
-    (arc.bulge.sqrt() / f64::from(2 + vain)).to_bits()
+/// where it failed `failed` times (Laplace's rule of succession). The bits of non-negative numbers have the order of the numbers.
+fn worth(arc: &Arc, failed: u32) -> u64 {
+    (arc.bulge.sqrt() / f64::from(2 + failed)).to_bits()
 }
 
 impl Seeds {
     /// Starts with the arcs of another image.
     pub fn order(&mut self, arcs: &Arcs, deadline: Option<Instant>) {
         let arcs = &arcs.arcs;
-        (self.vain, self.deadline) = (0, deadline);
+        (self.failed, self.deadline) = (0, deadline);
         self.order.clear();
         self.order.extend(arcs.iter().zip(0..).map(|(arc, index)| (worth(arc, 0), Reverse(index))));
-        self.vain_beside.clear();
-        self.vain_beside.resize(arcs.len(), 0);
+        self.failed_beside.clear();
+        self.failed_beside.resize(arcs.len(), 0);
         for flags in [&mut self.taken, &mut self.tried] {
             flags.clear();
             flags.resize(arcs.len(), false);
@@ -66,13 +66,13 @@ impl Seeds {
         if is_late {
             rejections.count(Rejection::Late);
         }
-        let Self { order, vain_beside, taken, tried, .. } = self;
+        let Self { order, failed_beside, taken, tried, .. } = self;
         let is_left = |(_, Reverse(arc)): &(u64, Reverse<usize>)| !taken[*arc] && !tried[*arc];
-        if is_late || self.vain >= MAX_VAIN {
+        if is_late || self.failed >= MAX_FAILED {
             order.drain().filter(is_left).for_each(|_| rejections.count(Rejection::Untried));
         }
         while let Some((known, Reverse(arc))) = std::iter::from_fn(|| order.pop()).find(is_left) {
-            let now = worth(&arcs.arcs[arc], vain_beside[arc]);
+            let now = worth(&arcs.arcs[arc], failed_beside[arc]);
             if now < known {
                 order.push((now, Reverse(arc)));
             } else {
@@ -90,17 +90,17 @@ impl Seeds {
     /// Records that growth from a seed failed: no arc of its chain is tried as a seed again, and those connected with them, over
     /// gaps of `gap` lines, come later.
     pub fn give_up(&mut self, arcs: &Arcs, chain: &[usize], gap: i64) {
-        self.vain += 1;
-        self.pass_over(chain);
-        let Self { vain_beside, taken, surface, reached, .. } = self;
+        self.failed += 1;
+        self.exclude(chain);
+        let Self { failed_beside, taken, surface, reached, .. } = self;
         surface.clear();
         surface.extend_from_slice(chain);
         arcs.connect(surface, reached, gap, |arc| !taken[arc]);
-        surface.iter().for_each(|&arc| vain_beside[arc] += 1);
+        surface.iter().for_each(|&arc| failed_beside[arc] += 1);
     }
 
     /// Excludes these arcs as seeds.
-    pub fn pass_over(&mut self, arcs: &[usize]) {
+    pub fn exclude(&mut self, arcs: &[usize]) {
         for &arc in arcs {
             self.tried[arc] = true;
         }
@@ -117,9 +117,9 @@ impl Seeds {
         let reach = 0.5 * (measured.extent[1] - measured.extent[0]) + SPARE_REACH * object.radius;
         for (taken, arc) in self.taken.iter_mut().zip(&region.arcs.arcs) {
             if !*taken && (arc.mean - center).norm() < reach {
-                let misfit = region.model.misfit(&q, arc);
-                *taken =
-                    misfit.is_some_and(|misfit| misfit.square.max(misfit.mean.powi(2)) < SPARE_SQUARE * arc.variance);
+                let residual = region.model.residual(&q, arc);
+                *taken = residual
+                    .is_some_and(|residual| residual.square.max(residual.mean.powi(2)) < SPARE_SQUARE * arc.variance);
             }
         }
     }
@@ -149,7 +149,7 @@ mod tests {
         let extent = [along(low).min(along(high)), along(low).max(along(high))];
         let (lines, count, points) = (members.len() as u32, 1000, 1000.0);
         let measured =
-            Measured { count, points, lines, variance: 1e-6, misfit: 0.0, curvature: 100.0, angle: 2.0, extent };
+            Measured { count, points, lines, variance: 1e-6, residual: 0.0, curvature: 100.0, angle: 2.0, extent };
         let outline = Outline { square: 1.0, far_off: 0.0, free: 1.0 };
         let mut seeds = Seeds::default();
         seeds.order(&arcs, None);

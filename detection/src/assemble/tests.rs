@@ -1,11 +1,11 @@
 //! Tests of the pooled method, on rendered frames.
 
 use super::arcs::{Arc, Arcs};
-use super::growth::{Growing, chain};
+use super::growth::{RegionGrower, chain};
 use super::model::{self, Model, pool_within};
 use super::odds::Evidence;
 use super::region::Region;
-use super::seeds::{MAX_VAIN, Seeds};
+use super::seeds::{MAX_FAILED, Seeds};
 use super::{Assembler, AssemblerParameters, Rejection, Rejections};
 use crate::extract::{Extractor, ExtractorParameters};
 use conicflow_geometry::{Conical, PlaneMoments, Scan, SpaceMoments, Vector3};
@@ -452,7 +452,7 @@ fn what_is_surely_larger_than_its_limit_does_not_grow_on_and_what_may_be_smaller
     let mut parameters = AssemblerParameters::default();
     let mut grown = |max_m: f64, shared_lines: f64| {
         (parameters.sphere.max_m, parameters.cylinder.max_m, parameters.cone.max_m) = (max_m, max_m, max_m);
-        let (mut arcs, mut growing) = (Arcs::default(), Growing::default());
+        let (mut arcs, mut growing) = (Arcs::default(), RegionGrower::default());
         arcs.read(&header, &ellipses);
         arcs.arcs.iter_mut().for_each(|arc| arc.shared_lines = shared_lines);
         let seed = arcs.arcs.iter().position(|arc| arc.scan == Scan::Row && arc.line == 120).unwrap();
@@ -500,7 +500,7 @@ fn what_grows_in_vain_on_one_surface_lets_another_one_come_first() {
         bulges
     };
     assert!(
-        bulges(true)[MAX_VAIN] > bulges(false)[0],
+        bulges(true)[MAX_FAILED] > bulges(false)[0],
         "each of the near can's is more curved than any of the far one's"
     );
     assert!(is_near(tried[0]) && (4..=8).contains(&of_near), "{of_near} of {}", tried.len());
@@ -537,7 +537,7 @@ fn seeds_that_were_tried_in_vain_come_to_an_end_and_objects_do_not_count() {
     // Chains of too few lines are passed over.
     for _ in 0..5 {
         let short = seeds.next(&arcs, &mut rejections).unwrap();
-        seeds.pass_over(&[short]);
+        seeds.exclude(&[short]);
     }
     let (mut tries, mut untried) = (0, 0);
     while let Some(seed) = seeds.next(&arcs, &mut rejections) {
@@ -545,7 +545,7 @@ fn seeds_that_were_tried_in_vain_come_to_an_end_and_objects_do_not_count() {
         tries += 1;
     }
     rejections.iter().for_each(|(_, times)| untried += times);
-    assert_eq!(tries, MAX_VAIN);
+    assert_eq!(tries, MAX_FAILED);
     assert_eq!(5 + tries + untried as usize, arcs.arcs.len());
 }
 
@@ -563,12 +563,12 @@ fn what_is_too_improbable_is_not_tried_from_its_other_arcs() {
 fn a_window_of_the_sensor_may_move_the_outline() {
     let (header, ellipses) = ellipses_of_a_can();
     // As a sensor sees it that loses what it sees at a slant: eight pixels too far in, on both sides.
-    let far_off = |shared_px: f64| {
+    let far_off = |correlation_px: f64| {
         let inwards = |ellipse: &Ellipse| {
             let [before, behind] = ellipse.contour;
             let contour =
                 [if before > 0.0 { before + 8.0 } else { 0.0 }, if behind > 0.0 { behind - 8.0 } else { 0.0 }];
-            Ellipse { contour, shared_px, ..*ellipse }
+            Ellipse { contour, correlation_px, ..*ellipse }
         };
         let moved: Vec<Ellipse> = ellipses.iter().filter(|ellipse| ellipse.scan == 0).map(inwards).collect();
         let mut assembler = Assembler::new(AssemblerParameters::default());

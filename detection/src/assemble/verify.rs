@@ -1,7 +1,7 @@
 //! Verifies that enough is seen of a grown model for it to be a candidate; `odds.rs` decides whether the candidate is an object.
 
 use super::arcs::{Arc, Arcs};
-use super::contours::Contours;
+use super::contours::ContourCalibration;
 use super::model::Model;
 use super::parameters::AssemblerParameters;
 use super::region::Region;
@@ -34,7 +34,7 @@ pub(crate) struct Measured {
     /// Mean variance of a point, in square metres.
     pub variance: f64,
     /// Mean square distance of the points, less that of the noise, in variances of a point.
-    pub misfit: f64,
+    pub residual: f64,
     /// Excess of the residuals from a plane over those from the model, as chi squared of independent points.
     pub curvature: f64,
     /// Mean visible circumference, in radians.
@@ -90,7 +90,7 @@ pub(crate) fn verify_all<'a>(
     grown: [Result<Model, Rejection>; 3],
     members: &'a [Vec<usize>; 3],
     parameters: &AssemblerParameters,
-    contours: &mut Contours,
+    contours: &mut ContourCalibration,
 ) -> Verified<'a> {
     std::array::from_fn(|kind| {
         let region = |model| Region { arcs, model, members: &members[kind] };
@@ -102,7 +102,7 @@ pub(crate) fn verify_all<'a>(
 fn verify<'a>(
     mut region: Region<'a>,
     parameters: &AssemblerParameters,
-    contours: &mut Contours,
+    contours: &mut ContourCalibration,
 ) -> Result<Candidate<'a>, Rejection> {
     check(&region, parameters)?;
     let no_contour = Contour::default();
@@ -217,10 +217,10 @@ fn measure(region: &Region) -> Measured {
         0.5 * spacing_along(first.spacing, &first.plane, &surface.axis)
     });
     let extent = [(extent[0] - half_line).max(apex(&region.model)), extent[1] + half_line];
-    let (misfit, angle) = (region.model.square_sum() / points, angle / points);
+    let (residual, angle) = (region.model.square_sum() / points, angle / points);
     let variance = region.variance();
-    let curvature = curvature(region, variance, misfit);
-    Measured { count, points, lines, variance, misfit, curvature, angle, extent }
+    let curvature = curvature(region, variance, residual);
+    Measured { count, points, lines, variance, residual, curvature, angle, extent }
 }
 
 /// Returns the position of a cone's apex along its axis, beyond which there is no surface; minus infinity for other shapes.
@@ -248,16 +248,16 @@ fn span(arc: &Arc, region: &Region, ends: [Option<Vector3>; 2]) -> f64 {
 
 /// Returns by how much worse than the model a plane explains the points: chi squared of independent points, in units of their
 /// actual scatter about the model.
-fn curvature(region: &Region, variance: f64, misfit: f64) -> f64 {
+fn curvature(region: &Region, variance: f64, residual: f64) -> f64 {
     let mut pool = SpaceMoments::default();
     region.arcs().for_each(|arc| pool.add(arc.space(), 1.0));
     let independent = region.points() / region.shared_lines();
-    independent * (pool.least_variance() / variance - misfit) / (1.0 + misfit.max(0.0))
+    independent * (pool.least_variance() / variance - residual) / (1.0 + residual.max(0.0))
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::growth::{Growing, chain};
+    use super::super::growth::{RegionGrower, chain};
     use super::super::model;
     use super::super::parameters::PooledParameters;
     use super::super::tests::{arcs_of, rows_of, wall};
@@ -270,7 +270,7 @@ mod tests {
         let (center, axis) = (Vector3::new(0.0, 0.0, 2.0), Vector3::y());
         let arcs = arcs_of(&[cylinder(center, axis, 0.2, 0.7)]);
         let seed = arcs.arcs.iter().position(|arc| arc.scan == Scan::Row && arc.line == 120).unwrap();
-        let (mut growing, mut parameters) = (Growing::default(), AssemblerParameters::default());
+        let (mut growing, mut parameters) = (RegionGrower::default(), AssemblerParameters::default());
         chain(&arcs, seed, parameters.max_gap(), |_| true, &mut growing.chain);
         let Ok(model) = growing.models(&arcs, &parameters, |_| true)[1] else { panic!("no cylinder") };
         let region = Region { arcs: &arcs, model, members: &growing.members[1] };
@@ -455,20 +455,20 @@ mod tests {
     fn points_that_share_their_noise_or_miss_the_surface_show_less_of_how_it_is_curved() {
         let mut arcs = arcs_of(&[cylinder(Vector3::z() * 2.0, Vector3::y(), 0.2, 0.5)]);
         let rows = rows_of(&arcs, |_| true);
-        let mut of = |variance: f64, misfit: f64, shared_lines: f64| {
+        let mut of = |variance: f64, residual: f64, shared_lines: f64| {
             arcs.arcs.iter_mut().for_each(|arc| arc.shared_lines = shared_lines);
             let region = fitted(&arcs, &rows, ObjectKind::Cylinder);
-            (curvature(&region, variance, misfit), region.points())
+            (curvature(&region, variance, residual), region.points())
         };
         let (whole, points) = of(1e-5, 0.0, 1.0);
-        for (variance, misfit, shared_lines, expected) in [
+        for (variance, residual, shared_lines, expected) in [
             (2e-5, 0.0, 1.0, whole / 2.0),
             (1e-5, 0.0, 4.0, whole / 4.0),
             (1e-5, 1.0, 1.0, (whole - points) / 2.0),
             (1e-5, 2.0, 1.0, (whole - 2.0 * points) / 3.0),
             (1e-5, -0.5, 1.0, whole + 0.5 * points),
         ] {
-            let (found, _) = of(variance, misfit, shared_lines);
+            let (found, _) = of(variance, residual, shared_lines);
             assert!((found / expected - 1.0).abs() < 1e-9, "{found} {expected}");
         }
     }
@@ -496,7 +496,8 @@ mod tests {
         for (lines, shared_lines, contour_lines) in [(20, 1.0, 1.0), (60, 1.0, 1.0), (60, 5.0, 5.0), (60, 5.0, 1.0)] {
             let share = |arc: &mut Arc| (arc.shared_lines, arc.contour_lines) = (shared_lines, contour_lines);
             arcs.arcs.iter_mut().for_each(share);
-            let (mut region, mut contours) = (fitted(&arcs, &rows[..lines], ObjectKind::Sphere), Contours::default());
+            let (mut region, mut contours) =
+                (fitted(&arcs, &rows[..lines], ObjectKind::Sphere), ContourCalibration::default());
             let (model, contour) = contours.fit(&region).unwrap();
             region.model = model;
             let (sum, used) = (model.contour_sum(), contour.used() as f64);

@@ -220,7 +220,7 @@ fn with_ends(
 fn message(rays: &Rays, image: &[u16], points: Range<usize>, fit: &ArcFit, moments: &PlaneMoments) -> Ellipse {
     let [first, last] = [points.start, points.end - 1];
     let radius = fit.circle.radius;
-    let unaveraged = rays.unaveraged(points.clone());
+    let variance_ratio = rays.variance_ratio(points.clone());
     let beyond = rays.view.parameters.trim_px + 1;
     let from_front = |point: usize| {
         let [s, t] = rays.point(point);
@@ -232,10 +232,10 @@ fn message(rays: &Rays, image: &[u16], points: Range<usize>, fit: &ArcFit, momen
         first: rays.pixel(first),
         last: rays.pixel(last),
         points: points.len() as u32,
-        sigma: (rays.averaged_variance((first + last) / 2) * unaveraged).sqrt(),
-        shared_px: rays.view.correlation_px[0],
-        shared_lines: rays.view.correlation_px[1] / unaveraged,
-        averaged_lines: rays.view.averaged_lines / unaveraged,
+        sigma: (rays.averaged_variance((first + last) / 2) * variance_ratio).sqrt(),
+        correlation_px: rays.view.correlation_px[0],
+        shared_lines: rays.view.correlation_px[1] / variance_ratio,
+        averaged_lines: rays.view.averaged_lines / variance_ratio,
         beyond_px: beyond,
         unbiased: 1,
         center: rays.plane().to_camera(fit.circle.center).into(),

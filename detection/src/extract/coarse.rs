@@ -141,9 +141,9 @@ mod tests {
             points: 41,
             ..Ellipse::default()
         };
-        let is_curved = |shared_px: f64| {
+        let is_curved = |correlation_px: f64| {
             let (mut coarse, mut arc) = (CoarseLines::default(), arc);
-            arc.shared_px = shared_px;
+            arc.correlation_px = correlation_px;
             coarse.add(&plane, |arcs| arcs.push(arc));
             coarse.curved[0]
         };

@@ -46,7 +46,7 @@ const SQUARE_OF_SMOOTH: f64 = 0.101_53; // [derived]
 /// nearly one depth do not determine a growth.
 const DISTANT: f64 = 1.15; // [algorithmic]
 /// Fewest standard deviations by which the logarithm of the ratio of the noise levels of both halves has to differ from zero.
-const SURE: f64 = 3.5; // [sigmas]
+const SURE_SIGMAS: f64 = 3.5; // [sigmas]
 /// [`NoiseSamples::range`] leaves out one sample in this many at either end.
 const OUTER: usize = 20; // [algorithmic]
 /// Most rounds of fitting a noise model to both halves, or of fitting curves with a new level: each round comes closer to the
@@ -98,13 +98,13 @@ pub(crate) fn estimate(
 ) -> NoiseEstimate {
     let NoiseSamples { of_neighbors, of_curves } = samples;
     view.turn(header, Scan::Row, &NoiseEstimate::nominal(header.noise));
-    look_at_neighbors(view, image, of_neighbors);
+    sample_neighbors(view, image, of_neighbors);
     if of_neighbors.len() < MIN_TRIPLES {
         return NoiseEstimate::nominal(view.noise);
     }
     let halves = halves(of_neighbors);
     if differ(&halves) {
-        look_at_curves(view, image, search, of_curves);
+        sample_curves(view, image, search, of_curves);
         return of_another_growth(view, &halves, of_neighbors, of_curves);
     }
     let scatter = scatter(of_neighbors);
@@ -113,7 +113,7 @@ pub(crate) fn estimate(
     }
     let mut noise = NoiseEstimate::nominal(header.noise);
     for _ in 0..ROUNDS {
-        look_at_curves(view, image, search, of_curves);
+        sample_curves(view, image, search, of_curves);
         let level = (noise.level * share(of_curves, |_| true)).max(scatter);
         let is_settled = noise.level <= level * SETTLED;
         noise = NoiseEstimate::of_level(header.noise, level);
@@ -162,7 +162,7 @@ fn differ([near, far]: &[Half; 2]) -> bool {
     let are_told = near.count.min(far.count) >= MIN_TRIPLES as f64;
     // Noise below the model may be smoothed, and then neighbours show less than there is.
     let are_smoothed = near.scatter.min(far.scatter) <= UNSMOOTHED;
-    are_told && !are_smoothed && far.depth > DISTANT * near.depth && ratio > SURE * sigma
+    are_told && !are_smoothed && far.depth > DISTANT * near.depth && ratio > SURE_SIGMAS * sigma
 }
 
 /// Returns the model that has at two depths the standard deviations of `variance` times these factors, and that grows with the
@@ -181,7 +181,7 @@ fn through(depths: [f64; 2], factors: [f64; 2], variance: impl Fn(f64) -> f64) -
 /// On a plane the inverse depth is linear along a line of the image. So `b (b / a + b / c - 2)` of three depths in even steps is
 /// noise alone, of six times the variance of one depth. The depth of a sample is the mean of the three, which is independent of
 /// that difference. The depth of the middle pixel is not: halves divided by it would be divided by its noise.
-fn look_at_neighbors(view: &View, image: &[u16], samples: &mut Vec<NoiseSample>) {
+fn sample_neighbors(view: &View, image: &[u16], samples: &mut Vec<NoiseSample>) {
     samples.clear();
     let apart = ((TRIPLE_SPACING / view.pitch()).ceil() as usize).min(view.length as usize).max(1);
     for line in lines(view) {
@@ -250,7 +250,7 @@ fn scatter(samples: &mut [NoiseSample]) -> f64 {
 }
 
 /// Samples the lines and circles of whole scan lines.
-fn look_at_curves(view: &View, image: &[u16], search: &mut LineSearch, samples: &mut Vec<NoiseSample>) {
+fn sample_curves(view: &View, image: &[u16], search: &mut LineSearch, samples: &mut Vec<NoiseSample>) {
     samples.clear();
     let LineSearch { line, curves } = search;
     for number in lines(view) {
@@ -334,7 +334,7 @@ mod tests {
             view.turn(&header, Scan::Row, &NoiseEstimate::nominal(noise));
             let image: Vec<u16> = (0..90 * 12).map(|pixel| [1000, 1003, 1006][pixel % 3]).collect();
             let mut samples = Vec::new();
-            look_at_neighbors(&view, &image, &mut samples);
+            sample_neighbors(&view, &image, &mut samples);
             (samples.len(), samples.iter().any(|sample| sample.square > 0.1))
         };
         assert_eq!([200.0, 525.0, 1e9].map(seen), [(12 * 88, true), (12 * 28, false), (0, false)]);

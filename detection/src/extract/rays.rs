@@ -44,7 +44,7 @@ fn weigh(view: &View, points: &Points, variances: &mut Vec<f64>) {
         variances.push(view.variance(total(rest) * (view.scale / rest.len() as f64)));
     }
     for (variance, pairs) in variances.iter_mut().zip(points.pairs.chunks(SURROUNDINGS)) {
-        *variance *= view.unaveraged(pairs);
+        *variance *= view.variance_ratio(pairs);
     }
 }
 
@@ -111,8 +111,8 @@ impl<'a> Rays<'a> {
     }
 
     /// Returns the mean variance of some points, relative to that of points averaged over all lines.
-    pub fn unaveraged(&self, points: Range<usize>) -> f64 {
-        self.view.unaveraged(self.points.pairs.get(points).unwrap_or_default())
+    pub fn variance_ratio(&self, points: Range<usize>) -> f64 {
+        self.view.variance_ratio(self.points.pairs.get(points).unwrap_or_default())
     }
 
     /// Returns the variance of the depth of a point, in square metres.
@@ -124,7 +124,7 @@ impl<'a> Rays<'a> {
     /// Returns that variance as if all lines were averaged at the point.
     pub fn averaged_variance(&self, point: usize) -> f64 {
         let from = point - point % SURROUNDINGS;
-        self.depth_variance(point) / self.unaveraged(from..(from + SURROUNDINGS).min(self.length))
+        self.depth_variance(point) / self.variance_ratio(from..(from + SURROUNDINGS).min(self.length))
     }
 
     /// Returns the variance of a point in the middle of an interval, in the scan plane.
@@ -221,7 +221,7 @@ mod tests {
                 assert!((rays.depth_variance(point) / averaged - times).abs() < 1e-9, "of {point}");
                 assert!((rays.averaged_variance(point) / averaged - 1.0).abs() < 1e-9, "of {point}");
             }
-            let parts = [0..8, 8..40, 4..10].map(|points| rays.unaveraged(points));
+            let parts = [0..8, 8..40, 4..10].map(|points| rays.variance_ratio(points));
             assert!((parts[0] - 3.0).abs() < 1e-9 && parts[1] == 1.0 && (parts[2] - 7.0 / 3.0).abs() < 1e-9);
         });
     }

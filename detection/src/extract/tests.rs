@@ -64,7 +64,7 @@ fn columns_are_the_rows_of_the_turned_image() {
     let found = |header: &Header, pixels: &[u16], scan| {
         let mut extractor = Extractor::new(config(ScanLines::Both));
         extractor.noise = NoiseEstimate::nominal(header.noise);
-        extractor.look_along(header, pixels, scan);
+        extractor.search_along(header, pixels, scan);
         extractor.ellipses
     };
     let columns = found(&header, &pixels, Scan::Column);
@@ -316,7 +316,7 @@ fn half_of_an_image_is_not_noisier() {
 }
 
 /// Number of neighbouring pixels that share their noise in a room, as estimated, for a sensor with windows of this width.
-fn shared_px(noise_window_px: u32, width: u32, seed: u64) -> [f64; 2] {
+fn correlation_px(noise_window_px: u32, width: u32, seed: u64) -> [f64; 2] {
     let (header, pixels) = shot(random_scene(SceneGroup::Clutter, seed), noise_window_px, width, seed);
     Extractor::new(config(ScanLines::Rows)).estimate_noise(&header, &pixels).correlation_px
 }
@@ -324,7 +324,7 @@ fn shared_px(noise_window_px: u32, width: u32, seed: u64) -> [f64; 2] {
 #[test]
 fn as_many_pixels_share_their_noise_as_do() {
     for (width, window) in [(320, 1), (320, 3), (320, 5), (640, 1), (640, 5), (640, 13), (1280, 31)] {
-        let rooms: Vec<_> = (0..7).map(|seed| shared_px(window, width, seed)).collect();
+        let rooms: Vec<_> = (0..7).map(|seed| correlation_px(window, width, seed)).collect();
         for direction in [0, 1] {
             let mut shared: Vec<_> = rooms.iter().map(|room| room[direction]).collect();
             shared.sort_unstable_by(f64::total_cmp);

@@ -198,7 +198,7 @@ impl View {
 
     /// Returns the mean variance of pixels, relative to that of pixels averaged over all lines; `pairs` has the number of lines
     /// on either side over which each was averaged.
-    pub fn unaveraged(&self, pairs: &[u16]) -> f64 {
+    pub fn variance_ratio(&self, pairs: &[u16]) -> f64 {
         self.averaging.variance(pairs)
     }
 

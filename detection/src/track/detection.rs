@@ -84,7 +84,7 @@ impl Detection {
     }
 
     /// Returns this detection as a measurement of the object's state `late_s` seconds later, with the drift of the shape since.
-    pub fn told_later(&self, late_s: f64, config: &TrackerParameters) -> Self {
+    pub fn delayed(&self, late_s: f64, config: &TrackerParameters) -> Self {
         Self { late_s, shape: self.shape.predicted(late_s, config), ..self.clone() }
     }
 }

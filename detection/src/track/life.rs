@@ -14,23 +14,23 @@ pub struct Life {
     pub unseen_s: f64,
     /// Time since the last frame of the camera that saw it last, in seconds, while other cameras went on.
     pub unwatched_s: f64,
-    /// Detections that are still needed for its confirmation; 0: it is confirmed. The window starts with the first detection and
+    /// Detections that are still hits_needed for its confirmation; 0: it is confirmed. The window starts with the first detection and
     /// never moves: at its last frame there were either enough detections or too many misses.
-    needed: u32,
+    hits_needed: u32,
 }
 
 impl Life {
     /// Creates the record of a track at its first detection.
     pub fn born(parameters: &TrackerParameters) -> Self {
-        let needed = parameters.confirm_hits.saturating_sub(1);
-        Self { age: 0, misses: 0, unseen_s: 0.0, unwatched_s: 0.0, needed }
+        let hits_needed = parameters.confirm_hits.saturating_sub(1);
+        Self { age: 0, misses: 0, unseen_s: 0.0, unwatched_s: 0.0, hits_needed }
     }
 
     /// Records a frame with a detection.
     pub fn seen(&mut self) {
         self.age = self.age.saturating_add(1);
         (self.misses, self.unseen_s, self.unwatched_s) = (0, 0.0, 0.0);
-        self.needed = self.needed.saturating_sub(1);
+        self.hits_needed = self.hits_needed.saturating_sub(1);
     }
 
     /// Records a frame without a detection, `elapsed_s` seconds later.
@@ -42,7 +42,7 @@ impl Life {
     }
 
     /// Records a frame, `elapsed_s` seconds later, of a camera that was not expected to see the object.
-    pub fn unwatched(&mut self, elapsed_s: f64) {
+    pub fn not_observed(&mut self, elapsed_s: f64) {
         self.unseen_s += elapsed_s;
         self.unwatched_s += elapsed_s;
     }
@@ -57,16 +57,16 @@ impl Life {
     /// camera.
     pub fn is_lost(&self, parameters: &TrackerParameters) -> bool {
         let TrackerParameters { confirm_window, max_coast_s, .. } = *parameters;
-        if self.needed == 0 {
+        if self.hits_needed == 0 {
             return self.unseen_s > max_coast_s;
         }
         let left = confirm_window.saturating_sub(self.age.saturating_add(1));
-        self.needed > left || self.unwatched_s > max_coast_s
+        self.hits_needed > left || self.unwatched_s > max_coast_s
     }
 
     /// Returns the state of the track.
     pub fn state(&self) -> TrackState {
-        match (self.needed, self.misses) {
+        match (self.hits_needed, self.misses) {
             (1.., _) => TrackState::Tentative,
             (0, 0) => TrackState::Confirmed,
             (0, _) => TrackState::Coasting,
@@ -151,9 +151,9 @@ mod tests {
         for (hits, state) in [(1, TrackState::Confirmed), (3, TrackState::Tentative)] {
             let rules = rules(hits, 5);
             let mut life = Life::born(&rules);
-            (0..2).for_each(|_| life.unwatched(0.125));
+            (0..2).for_each(|_| life.not_observed(0.125));
             assert_eq!((life.misses, life.state(), life.is_lost(&rules)), (0, state, false));
-            life.unwatched(0.01);
+            life.not_observed(0.01);
             assert!(life.is_lost(&rules), "its camera is gone");
             life.seen();
             assert!(!life.is_lost(&rules));

@@ -19,7 +19,7 @@ const CHANGES_PER_S: f64 = 0.5; // [tuned]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Manner {
     /// With hardly any acceleration; this includes standing still.
-    GoesOn,
+    Uniform,
     IsCarried,
     IsThrown,
     Falls,
@@ -27,12 +27,12 @@ enum Manner {
 
 impl Manner {
     /// All but the fall, which only some objects may follow.
-    const COMMON: [Self; 3] = [Self::GoesOn, Self::IsCarried, Self::IsThrown];
+    const COMMON: [Self; 3] = [Self::Uniform, Self::IsCarried, Self::IsThrown];
 
     /// Returns its acceleration in units of `acceleration`, the usual one: the steps of ten leave no motion far from a model.
     fn strength(self) -> f64 {
         match self {
-            Self::GoesOn => 0.1, // [algorithmic]
+            Self::Uniform => 0.1, // [algorithmic]
             Self::IsCarried | Self::Falls => 1.0,
             Self::IsThrown => 10.0, // [algorithmic]
         }
@@ -74,7 +74,7 @@ pub struct Fall {
 pub struct Motions {
     models: [Model; Manner::COMMON.len() + 1],
     /// Whether a detection came in time after the last prediction: only then is it known how the object moved.
-    was_seen: bool,
+    updated_in_time: bool,
 }
 
 impl Motions {
@@ -86,8 +86,8 @@ impl Motions {
             motion: Motion::new(first.position, first.covariance, manner.initial_speed(config)),
         };
         let [a, b, c] = Manner::COMMON.map(model);
-        let mut motions = Self { models: [a, b, c, model(Manner::Falls)], was_seen: true };
-        motions.share_out();
+        let mut motions = Self { models: [a, b, c, model(Manner::Falls)], updated_in_time: true };
+        motions.normalise();
         motions
     }
 
@@ -99,8 +99,8 @@ impl Motions {
     /// Predicts the motion `dt` seconds later; `fall`: the fall of the object, if it may fall. The models of an unseen object
     /// keep their probabilities.
     pub fn predict(&mut self, dt: f64, fall: Option<Fall>, config: &TrackerParameters) {
-        self.may_change(if self.was_seen { dt } else { 0.0 }, fall.is_some());
-        self.was_seen = false;
+        self.may_change(if self.updated_in_time { dt } else { 0.0 }, fall.is_some());
+        self.updated_in_time = false;
         for model in &mut self.models {
             model.motion.predict(dt, model.manner.density(config));
             if let Some(Fall { ballistic, radius, has_pose }) = fall.filter(|_| model.manner == Manner::Falls) {
@@ -131,7 +131,7 @@ impl Motions {
             model.motion = Motion::mixture([(kept, &model.motion), (begins, &mean)].into_iter());
             model.probability = kept + begins;
         }
-        self.share_out();
+        self.normalise();
     }
 
     /// Moves the motions by `dt` seconds, backwards if negative, without adding noise.
@@ -173,15 +173,15 @@ impl Motions {
         // The update with a late detection ignores the correlation of the present state with the acceleration since then. The
         // error grows with the acceleration of a model, so a late detection leaves the probabilities as they are.
         if least.is_finite() && seen.late_s == 0.0 {
-            self.was_seen = true;
+            self.updated_in_time = true;
             let models = self.models.iter_mut().zip(costs);
             models.for_each(|(model, cost)| model.probability = (-0.5 * (cost - least)).exp());
-            self.share_out();
+            self.normalise();
         }
     }
 
     /// Scales the probabilities to a sum of one.
-    fn share_out(&mut self) {
+    fn normalise(&mut self) {
         let sum: f64 = self.models.iter().map(|model| model.probability).sum();
         self.models.iter_mut().for_each(|model| model.probability /= sum);
     }
@@ -242,8 +242,8 @@ mod tests {
         let shaken = |time: f64| [0.1 * (20.0 * time).sin(), 0.0, 2.0];
         let falling = |time: f64| [0.0, 4.905 * time * time, 2.0];
         for fall in [None, Some(fall)] {
-            assert_eq!(after(fall, 30, still).0, Manner::GoesOn);
-            assert_eq!(after(fall, 30, |time| [0.4 * time, 0.0, 2.0]).0, Manner::GoesOn);
+            assert_eq!(after(fall, 30, still).0, Manner::Uniform);
+            assert_eq!(after(fall, 30, |time| [0.4 * time, 0.0, 2.0]).0, Manner::Uniform);
             assert_eq!(after(fall, 30, carried).0, Manner::IsCarried);
             assert_eq!(after(fall, 30, shaken).0, Manner::IsThrown);
         }
@@ -302,7 +302,7 @@ mod tests {
         motions.predict(1.0, None, &config());
         assert!(of(&motions).iter().zip(before).all(|(now, before)| (now - before).abs() < 1e-12));
         // A late detection shows where the object was, but not how it moves.
-        motions.see(&ball([0.0, 0.0, 2.0]).told_later(0.5, &config()), &config());
+        motions.see(&ball([0.0, 0.0, 2.0]).delayed(0.5, &config()), &config());
         assert!(of(&motions).iter().zip(before).all(|(now, before)| (now - before).abs() < 1e-12));
     }
 }

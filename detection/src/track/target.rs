@@ -120,7 +120,7 @@ impl Target {
         match seen {
             Some(seen) if lag_s > 0.0 => {
                 self.motions.move_in_time(-lag_s);
-                self.see(&seen.told_later(lag_s, config), time, config);
+                self.see(&seen.delayed(lag_s, config), time, config);
                 self.motions.move_in_time(lag_s);
             }
             None if lag_s > 0.0 || then.seen_by != time.source => self.life = then.life.clone(),
@@ -217,7 +217,7 @@ impl Target {
         if time.source == self.seen_by {
             self.life.missed(time.elapsed_s);
         } else {
-            self.life.unwatched(time.elapsed_s);
+            self.life.not_observed(time.elapsed_s);
         }
     }
 
