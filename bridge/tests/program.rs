@@ -1,4 +1,5 @@
-//! The program as `conicflow` has it beside itself. (Where the tests of the whole workspace are built, it is built for this.)
+//! Tests of the program that `conicflow` starts from its own folder. (It is built with this test, so that it exists where the
+//! tests of the whole workspace are built.)
 
 #![allow(clippy::unwrap_used)] // what a test cannot go on from is its failure
 
