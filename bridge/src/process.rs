@@ -30,7 +30,7 @@ const HEARTBEAT_PERIOD: Duration = Duration::from_millis(200);
 /// The last heartbeat is repeated, because nothing acknowledges it.
 const FAREWELLS: usize = 5;
 
-/// Carries the edges of a plan until all have ended, as a process of its own.
+/// Carries the edges of a plan until all have ended, in a separate process.
 pub(crate) fn run(
     bridge: &BridgePlan,
     run: BridgeRun<'_>,

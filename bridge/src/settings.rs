@@ -310,7 +310,7 @@ mod tests {
         let machine = |connect: &[&str]| Machine {
             listen: vec!["tcp/127.0.0.1:7447".to_owned()],
             connect: connect.iter().map(|&endpoint| endpoint.to_owned()).collect(),
-            insecure: true, // who may come is another test's question
+            insecure: true, // access is checked in another test
             ..Machine::default()
         };
         let endpoints = |config: &zenoh::Config| {

@@ -3,7 +3,7 @@
 //! This is a border. Pointers and sizes from C are checked as far as possible; errors, including panics, are returned as a text
 //! ([`fault`]) and never unwind into C. [`Camera`] and [`Object`] cross it as they are in memory.
 
-#![allow(unsafe_code)] // what C passes are pointers
+#![allow(unsafe_code)] // C passes pointers
 
 mod fault;
 mod image;

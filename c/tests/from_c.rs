@@ -1,8 +1,8 @@
 //! Tests of the library from C: the header and the example are compiled with `cc`, linked statically and dynamically, and run;
 //! their results equal those of the Rust library bit for bit.
 
-#![allow(missing_docs)] // a test's name says what it shows
-#![allow(clippy::unwrap_used)] // what a test cannot go on from is its failure
+#![allow(missing_docs)] // the names of tests are their documentation
+#![allow(clippy::unwrap_used)] // in tests, a panic is a failure
 
 use conicflow_detection::{Camera, Detector, NoiseModel, Object};
 use conicflow_geometry::Vector3;

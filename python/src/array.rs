@@ -1,6 +1,6 @@
 //! NumPy arrays of messages: read-only views of images and lists in memory, and the layouts of items.
 
-#![allow(unsafe_code)] // NumPy is lent memory that belongs to a Python object
+#![allow(unsafe_code)] // NumPy borrows memory of a Python object
 
 use crate::fault;
 use crate::message::Message;
@@ -118,7 +118,7 @@ macro_rules! numbers {
 
 numbers!(u16, u32, u64, f32, f64);
 
-/// Implements [`Typed`] for structs, with the fields at the compiler's offsets.
+/// Implements `Typed` for structs, with the fields at the compiler's offsets.
 macro_rules! structs {
     ($($type:ty: $($name:ident),+;)+) => {$(
         impl Typed for $type {

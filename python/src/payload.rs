@@ -168,7 +168,7 @@ impl HeaderChange {
         if let Some((fx, fy, cx, cy)) = self.camera {
             (header.camera.fx, header.camera.fy, header.camera.cx, header.camera.cy) = (fx, fy, cx, cy);
         }
-        // An image in metres was converted to units of its own.
+        // An image in metres was converted to units of its own scale.
         header.depth_scale = payload.scale.or(self.scale).unwrap_or(header.depth_scale);
         header.noise = self.noise.unwrap_or(header.noise);
         header.stamp_ns = self.stamp_ns.unwrap_or(header.stamp_ns);

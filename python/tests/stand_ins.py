@@ -69,7 +69,7 @@ class Orbbec:
 
             get_width, get_height = staticmethod(lambda: sdk.size[0]), staticmethod(lambda: sdk.size[1])
             get_stream_profile = staticmethod(lambda: Profile(OBFormat.Y16, *sdk.size, 30, fx=10.0 * sdk.size[0] / WIDTH))
-            get_depth_scale = staticmethod(lambda: 0.1)  # millimetres a unit
+            get_depth_scale = staticmethod(lambda: 0.1)  # millimetres per unit
 
             def get_data(self):
                 return np.frombuffer(pixels(self.value).tobytes(), np.uint8)

@@ -153,7 +153,7 @@ def test_a_camera_that_stalls_again_and_again_is_told_once():
 def test_a_slow_pipeline_is_no_stall():
     stream = Stream(FakeSource(), lambda: FakeCamera(frame(1), None, frame(2)), SETTINGS, lambda *_: None)
     assert stream.next().depth[0, 0] == 1
-    stream._heard -= 3600.0  # so long the pipeline had no room
+    stream._heard -= 3600.0  # as if the pipeline had had no room for an hour
     assert stream.next().depth[0, 0] == 2
 
 
@@ -189,7 +189,7 @@ def test_another_size_is_told_and_goes_on():
 
 
 def test_frames_that_the_camera_left_out_are_counted():
-    numbers = [3, 4, 7, 8, 1, 2]  # and then it began anew by itself
+    numbers = [3, 4, 7, 8, 1, 2]  # then the camera's numbers restarted
     script = [frame(number=number) for number in numbers]
     _, _, source = play([FakeCamera(*script, EndOfRecording())])
     assert source.counted == {"frames lost": 2} and len(source.sent) == 6

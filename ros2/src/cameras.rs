@@ -8,7 +8,7 @@ use conicflow_ros::{CameraInfo, Undecodable, is_rectified};
 pub(crate) const WRITE_INTRINSICS: &str =
     "write `intrinsics = { fx = .., fy = .., cx = .., cy = .. }` with the numbers of your camera";
 
-/// What is known of the camera.
+/// The sources of the camera's intrinsics.
 #[derive(Debug)]
 pub(crate) struct Cameras {
     images: String,

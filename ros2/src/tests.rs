@@ -16,7 +16,7 @@ const CAMERA: Camera = Camera { width: 3, height: 2, fx: 52.5, fy: 52.0, cx: 1.0
 const STAMPED: Stamped<'_> = Stamped { stamp_ns: 7_000_000_001, frame_id: "camera_depth_optical_frame" };
 const PIXELS: [u16; 6] = [0, 1000, 65535, 4, 5, 6];
 
-/// The messages that come at each endpoint, each after so many empty looks.
+/// The messages that come at each endpoint, each with the number of empty looks before it.
 type Incoming = Vec<VecDeque<(u32, Vec<u8>)>>;
 /// The messages that were sent, with their endpoints.
 type Sent = Vec<(usize, Vec<u8>)>;
@@ -175,7 +175,7 @@ fn what_cannot_be_used_is_passed_over() {
     let larger = write_units(STAMPED, (6, 1), &PIXELS, Vec::new());
     let bad = [Vec::new(), vec![0; 3], vec![0xff; 4096], image()[..40].to_vec(), color, huge, larger];
     let images = queue(bad.into_iter().chain([image(), image()]));
-    // The camera is distorted at first; then rubbish comes on its topic.
+    // The camera is distorted at first; then invalid bytes come on its topic.
     let infos = VecDeque::from([(0, distorted), (0, vec![0xff; 64]), (7, info())]);
     let more = json!({ "topic": "/camera/depth/image_raw" });
     let frames = frames("hostile", more, vec![images, infos], 1).unwrap();

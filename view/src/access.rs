@@ -157,7 +157,7 @@ impl Access {
     }
 }
 
-/// Whether a `Host`, with or without a port, is a name of this machine that nobody else can assign.
+/// Whether a `Host`, with or without a port, is a name of this machine that no other machine can assign.
 fn is_loopback_name(host: &str) -> bool {
     let name = match host.strip_prefix('[') {
         Some(rest) => rest.split(']').next().unwrap_or_default(),

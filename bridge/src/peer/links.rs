@@ -1,4 +1,4 @@
-//! What a bridge knows of its peers: which are alive, what they have received, how their clocks differ.
+//! The state of a bridge's peers: which are alive, what they have received, and how their clocks differ.
 //!
 //! Each start of a bridge is a session. Anybody who listens to a link can replay what was sent there, including the messages of
 //! an earlier session. So a session is believed only after it has proved to be the present one: one of its heartbeats has to
@@ -27,7 +27,7 @@ const DISCONNECTED_AFTER: Duration = Duration::from_millis(1500);
 const REPORT_MISSING_AFTER: Duration = Duration::from_secs(5);
 
 /// A heartbeat reports this many sessions of a peer: the present one, one that is about to prove itself, and two more that
-/// somebody may replay. Replayed sessions displace one another, so a new session can still prove itself.
+/// a third party may replay. Replayed sessions displace one another, so a new session can still prove itself.
 const SESSIONS: usize = 4;
 
 /// The reason why a message of an earlier session is refused.
@@ -104,7 +104,7 @@ pub(crate) struct PeerState {
     pub connected: bool,
     /// Whether messages in the peer's name are currently refused.
     pub refused: bool,
-    /// How long the peer has been connected; if it is not, the time since it was last heard.
+    /// How long the peer has been connected or, if it is not, silent.
     pub time: Duration,
     pub clock: Option<Exchange>,
 }
@@ -269,7 +269,7 @@ impl Links {
         let Some(peer) = peers.get(to) else { return false };
         match peer.run {
             Some(run) if peer.finished.contains(&edge) => journal.note_finished(edge.clone(), run),
-            // A peer says so for its whole run: somebody else has said it.
+            // A peer reports a finished edge in each heartbeat of its run; this one does not, so the note was not its own.
             Some(run) => journal.forget_finished(&edge, run),
             None => {}
         }

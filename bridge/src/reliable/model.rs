@@ -68,7 +68,7 @@ enum Killed {
     Not,
     /// The message lies in the log, but has not gone out.
     Logged,
-    /// The message has gone out, but the writer has not been told that it may drop it.
+    /// The message has gone out, but has not been acknowledged to the writer.
     Sent,
 }
 

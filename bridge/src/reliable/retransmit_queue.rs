@@ -16,7 +16,7 @@ use std::{fmt::Debug, hash::Hash};
 /// the receiver may be slow and the link good.
 const RESEND_AFTER: Duration = Duration::from_millis(250);
 const LONGEST_RESEND_AFTER: Duration = Duration::from_secs(4);
-/// How long the sender waits for another machine to acknowledge the end of a stream, where nothing else has to be waited for.
+/// How long one end of an edge waits for the other at the end of a stream, if nothing else has to be waited for.
 pub(crate) const END_PATIENCE: Duration = Duration::from_secs(5);
 
 /// The messages that have left a machine by one edge and may have to be sent again.
@@ -43,7 +43,7 @@ struct End {
     bytes: Vec<u8>,
 }
 
-/// What is known of one receiving machine.
+/// The state of one receiving machine.
 #[cfg_attr(test, derive(Clone))]
 struct Remote {
     machine: String,

@@ -23,7 +23,7 @@ const CONFIRMED_AFTER: Duration = Duration::from_millis(200);
 /// This many doubtful messages are remembered: more than a sender keeps.
 const MOST_DOUBTS: usize = 2 * CAPACITY;
 
-/// What the receiver does with a message.
+/// The receiver's decision on a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Verdict {
     /// It is the next one.
@@ -472,7 +472,7 @@ mod tests {
             let forged = Claim { session: 7, ..claim(forged) };
             let told = [Duration::ZERO, LATER].map(|later| take_claim(&mut sequence, forged, start + later));
             assert_eq!(told, [Verdict::Early, Verdict::Take], "{forged:?}");
-            // The sender keeps more than it will be asked for, and is believed when it has said so twice.
+            // The sender goes back to numbers before the leap; it is believed when these have come twice.
             let mut taken = Vec::new();
             for (number, later) in [(99, STREAM_TIMEOUT), (99, STREAM_TIMEOUT + LATER), (100, STREAM_TIMEOUT + LATER)] {
                 let back = claim(StreamPosition { stream: 7, number, oldest: 95 });

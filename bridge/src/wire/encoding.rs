@@ -37,7 +37,7 @@ pub enum WireError {
         /// The layout of the other side.
         theirs: String,
     },
-    /// Their code is wrong: somebody else made or changed them, or they belong to another topic.
+    /// Their code is wrong: a third party made or changed them, or they belong to another topic.
     #[error(
         "its code was not made with the key of this machine\n  hint: are the keys of all machines the same file? make one with \
          `conicflow key`, copy it, and name it in each machine's table as `key`. If they are, somebody else is on the link"

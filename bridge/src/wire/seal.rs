@@ -77,7 +77,7 @@ fn code(key: &Key, zenoh_key: &str, bytes: &[u8]) -> Tag {
 
 /// A new secret.
 #[cfg(test)]
-#[allow(clippy::unwrap_used)] // what a test cannot go on from is its failure
+#[allow(clippy::unwrap_used)] // in tests, a panic is a failure
 pub(crate) fn secret() -> LinkKey {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("robot.key");
