@@ -37,8 +37,8 @@ fn library(name: &str) -> PathBuf {
     if beside.is_file() { beside } else { tests.parent().unwrap().with_file_name(name) }
 }
 
-/// Compiles a program and links it with the static or the shared library. The link name of the shared library exists only during
-/// that, as where only the runtime package is installed.
+/// Compiles a program and links it with the static or the shared library. After linking, only the versioned name of the shared
+/// library remains, as where only the runtime package is installed.
 fn compile(source: &Path, into: &TempDir, shared: bool) -> Option<PathBuf> {
     let program = into.path().join(source.file_stem().unwrap());
     let mut command = Command::new(compiler()?);

@@ -57,7 +57,7 @@ pub struct Ellipse {
     pub half_width: f64,
     /// Half the extent along t, along the view, in metres: the paper's r2.
     pub half_depth: f64,
-    /// Root mean square distance of the points from the ellipse, in metres.
+    /// Root mean square distance of the points from the ellipse, in metres; in excess of the noise if the moments are unbiased.
     pub rms: f64,
     /// Angle that the arc spans around the centre, in radians.
     pub arc: f64,

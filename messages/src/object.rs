@@ -70,7 +70,7 @@ pub struct Object {
     pub apex: [f64; 3],
     /// Standard deviations.
     pub sigma: ObjectSigma,
-    /// Root mean square distance of the points from the surface, in metres.
+    /// Root mean square distance of the points from the surface in excess of the noise, in metres; 0 if noise explains it.
     pub rms: f64,
     /// Visible part of the circumference, in radians.
     pub arc: f64,
