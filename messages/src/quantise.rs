@@ -8,8 +8,8 @@ const SCALES: [f64; 2] = [0.0001, COARSEST_SCALE];
 /// The coarser scale.
 pub const COARSEST_SCALE: f64 = 0.000_25;
 
-/// Returns the finest scale (metres per unit) that holds the largest of these depths, or else the coarsest. A depth of `z` is `z
-/// * metres_per_z` metres.
+/// Returns the finest scale (metres per unit) that holds the largest of these depths, or else the coarsest.
+/// `metres_per_z` is the unit of `depths`.
 pub fn finest_scale(depths: &[f32], metres_per_z: f64) -> f64 {
     let metres = depths.iter().map(|&z| f64::from(z) * metres_per_z).filter(|z| z.is_finite());
     let largest = metres.fold(0.0, f64::max);

@@ -9,9 +9,9 @@ const DRIFT_NS: i64 = 10_000_000;
 
 /// The difference between two machines' clocks, from exchanges of heartbeats.
 ///
-/// The method is that of NTP: with t1, t4 the own times of sending and receiving and t2, t3 the peer's, the offset is `((t2 - t1)
-/// + (t3 - t4)) / 2`. Its error is at most half the asymmetry of the round trip. Among the exchanges of the last seconds, the one
-/// with the shortest round trip counts.
+/// The method is that of NTP: with t1, t4 the own times of sending and receiving and t2, t3 those of the peer, the offset is
+/// `((t2 - t1) + (t3 - t4)) / 2`. Its error is at most half the asymmetry of the round trip. Among the exchanges of the last
+/// seconds, the one with the shortest round trip counts.
 #[derive(Debug, Default)]
 pub(crate) struct Clock {
     /// The second, and its best exchange.
