@@ -1,5 +1,5 @@
-//! Age of a message that crosses to another machine, from when its writer sent it to when its reader has it, beside that of
-//! the same bytes put and subscribed with Zenoh alone; what goes over the wire, and what it costs.
+//! Age of a message that crosses to another machine, from when its writer sent it until its reader has it, beside that of the
+//! same bytes with Zenoh alone; also the bytes on the wire and the CPU cost.
 //!
 //! `cargo bench --bench bridge`: two launchers on this host, joined over loopback, at 30 messages per second; then two
 //! sessions of one process. Ellipses and frames of 640x480 of one cluttered scene; milliseconds, megabytes and per cent of a
@@ -28,7 +28,7 @@ use zenoh::qos::CongestionControl;
 
 const RATE_HZ: f64 = 30.0;
 const MESSAGES: usize = 450;
-/// When the cost of a bridge is looked at, and for how long.
+/// When the cost of a bridge is measured, and for how long.
 const SETTLED: Duration = Duration::from_secs(4);
 const OBSERVED: Duration = Duration::from_secs(8);
 const NODES: &[Node] =
@@ -85,7 +85,7 @@ fn encoded<T: Item>(header: &Header, items: &[T], how: Compression) -> Outcome<V
     Ok(encode_message(StreamPosition::default(), &ItemType::of::<T>(), header, cast_slice(items), how)?)
 }
 
-/// Gives the same frame again and again, stamped when it is sent.
+/// Sends the same frame repeatedly, stamped when it is sent.
 struct Frames(Header, Vec<u16>);
 
 impl Source for Frames {
@@ -110,7 +110,7 @@ impl Source for Frames {
     }
 }
 
-/// Gives the ellipses of that frame.
+/// Sends the ellipses of that frame repeatedly.
 struct Lists(Header, Vec<Ellipse>);
 
 impl Source for Lists {
@@ -136,12 +136,12 @@ impl Source for Lists {
     }
 }
 
-/// The camera of one header in the place of another.
+/// A header with camera, scale, noise and source of `made`, and the rest of `own`.
 fn with_own_sequence(made: &Header, own: &Header) -> Header {
     Header { camera: made.camera, depth_scale: made.depth_scale, noise: made.noise, source: made.source, ..*own }
 }
 
-/// Ages of what crosses between two launchers, and what it costs their bridges.
+/// Ages of the messages between two launchers, and the cost of their bridges.
 fn bridged(source: &str, sink: &str, how: Compression) -> Outcome<([f64; 2], [f64; 2])> {
     let folder = TempDir::new()?;
     let port = TcpListener::bind("127.0.0.1:0")?.local_addr()?.port();
@@ -166,7 +166,7 @@ fn bridged(source: &str, sink: &str, how: Compression) -> Outcome<([f64; 2], [f6
     Ok((written_in(folder.path())?, [cost("robot.cpu")?, cost("base.cpu")?]))
 }
 
-/// Runs one machine of the pipeline, and looks at what its bridge costs meanwhile.
+/// Runs one machine of the pipeline, and measures the cost of its bridge.
 fn machine(name: &str, folder: &Path) -> Outcome<()> {
     let cost_file = folder.join(format!("{name}.cpu"));
     let looking = std::thread::spawn(move || std::fs::write(cost_file, bridge_cpu().unwrap_or(f64::NAN).to_string()));
@@ -199,7 +199,7 @@ fn session(listen: &str, connect: &str) -> Outcome<zenoh::Session> {
     Ok(zenoh::open(config).wait().map_err(|error| error.to_string())?)
 }
 
-/// Ages of the same bytes, put and subscribed and nothing else.
+/// Ages of the same bytes with a bare publisher and subscriber.
 fn bare(wire: &[u8]) -> Outcome<[f64; 2]> {
     let port = TcpListener::bind("127.0.0.1:0")?.local_addr()?.port();
     let endpoint = format!("[\"tcp/127.0.0.1:{port}\"]");

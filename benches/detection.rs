@@ -1,12 +1,11 @@
-//! CPU time of the detector's parts against the number of pixels, on cluttered rendered scenes; beside it what any
-//! detector has to pay (reading the frame, summing the moments of its rows) and what the paper's way costs, which fits an
-//! ellipse at every point.
+//! CPU time of the detector's parts against the number of pixels, on cluttered rendered scenes, beside the minimum for any
+//! detector (reading the frame, summing the moments of its rows) and the paper's method, which fits an ellipse at every point.
 //!
 //! `cargo bench --bench detection`; one thread, medians over scenes of medians over repetitions. The last column is the
 //! exponent p in `time ~ pixels^p`, fitted over all sizes: 1 is linear.
 //!
-//! `cargo bench --bench detection -- FOLDER...` takes recorded frames in place of scenes, a column for each folder that
-//! `image_source` reads.
+//! `cargo bench --bench detection -- FOLDER...` uses recorded frames instead of scenes, with a column for each folder that
+//! `image_source` can read.
 
 use conicflow_detection::{Assembler, AssemblerParameters, Extractor, ExtractorParameters};
 use conicflow_geometry::{Pinhole, PlaneMoments, Scan, fit_ellipse};
@@ -27,7 +26,7 @@ const GROUPS: [SceneGroup; 4] = [SceneGroup::Clutter, SceneGroup::Standing, Scen
 const SEEDS: [u64; 2] = [0, 4];
 const REPETITIONS: usize = 5;
 
-/// What a part does with a frame; its answer keeps the compiler from leaving the work out.
+/// The work of a part on a frame; its result keeps the compiler from removing the work.
 type Work<'a> = Box<dyn FnMut(&Frame) -> u64 + 'a>;
 
 struct Frame {
@@ -116,7 +115,7 @@ fn detector_of_the_paper() -> (ConicExtractor, ProfileAssembler) {
     (ConicExtractor::new(ConicConfig::of_the_paper()), ProfileAssembler::new(ProfileConfig::of_the_paper()))
 }
 
-/// Simulated scenes in this size.
+/// Simulated scenes with this image size.
 fn scenes((width, height): (u32, u32)) -> Result<Column, Box<dyn Error>> {
     let config = SimulatorParameters { width, height, ..SimulatorParameters::default() };
     let scenes = RandomScenes { groups: GROUPS.into(), seeds: SEEDS, ..RandomScenes::default() };
@@ -157,7 +156,7 @@ impl Frame {
     }
 }
 
-/// Times of the frames of a column, each the median of its repetitions.
+/// Times over the frames of a column, each the median of its repetitions.
 struct Times {
     median: f64,
     percentile_99: f64,
@@ -190,7 +189,7 @@ fn cpu_ms(work: impl FnOnce() -> u64) -> f64 {
     now() - start
 }
 
-/// Slope of the straight line through the logarithms.
+/// Slope of a straight line fitted to the logarithms.
 fn exponent(times: &[Times]) -> f64 {
     let x: Vec<f64> = SIZES.iter().map(|(width, height)| (f64::from(*width) * f64::from(*height)).ln()).collect();
     let y: Vec<f64> = times.iter().map(|times| times.median.ln()).collect();
@@ -204,7 +203,7 @@ fn read(frame: &Frame) -> u64 {
     frame.pixels.iter().map(|&pixel| u64::from(pixel)).sum()
 }
 
-/// The measurements of each row as points in its plane, in metres.
+/// The measurements of each row as points in the row's plane, in metres.
 fn rows(frame: &Frame) -> impl Iterator<Item = impl Iterator<Item = [f64; 2]>> {
     let camera = &frame.header.camera;
     let pinhole = Pinhole { fx: camera.fx, fy: camera.fy, cx: camera.cx, cy: camera.cy };
@@ -227,7 +226,7 @@ fn sum_moments(frame: &Frame) -> u64 {
     check
 }
 
-/// Algorithm 1 of the paper as it stands: add a point, fit, and start anew where the error exceeds the noise.
+/// Algorithm 1 of the paper: add a point, fit, and start again where the error exceeds the noise.
 fn fit_every_point(frame: &Frame) -> u64 {
     const JUMP_M: f64 = 0.05;
     const FEWEST: f64 = 6.0;

@@ -1,6 +1,6 @@
-//! A whole pipeline of five processes: how many small frames a second it passes on without loss, what somebody who looks on
-//! costs it then, how long a 640x480 frame takes from source to sink beside what the stages compute, and what each process
-//! uses.
+//! A whole pipeline of five processes: how many small frames per second it processes without loss, what an onlooker costs it
+//! then, how long a 640x480 frame takes from source to sink beside the compute time of the stages, and the resources of each
+//! process.
 //!
 //! `cargo bench --bench pipeline`
 
@@ -18,10 +18,10 @@ type Outcome<T> = Result<T, Box<dyn Error>>;
 const ROUNDS: usize = 3;
 const SMALL_FRAMES: usize = 3000;
 const LIVE_SECONDS: u64 = 10;
-/// A run with and without an onlooker in turn, so often and for so long each.
+/// Number and duration of the alternating turns with and without an onlooker.
 const TURNS: usize = 9;
 const TURN: Duration = Duration::from_millis(1500);
-/// Bytes at the end of a file in which there is a whole line.
+/// Number of bytes at the end of a file that contain a complete line.
 const LAST_LINES: u64 = 16 * 1024;
 const ONLOOKERS: [[&str; 3]; 4] =
     [["topic", "echo", "depth"], ["topic", "echo", "tracks"], ["topic", "hz", "depth"], ["topic", "bw", "depth"]];
@@ -70,7 +70,7 @@ fn conicflow(folder: &Path, arguments: &[&str]) -> Command {
     command
 }
 
-/// Frames per second of a run that passes on each.
+/// Frames per second of a lossless run.
 fn lossless_rate(folder: &Path) -> Outcome<f64> {
     fs::write(folder.join("pipeline.toml"), PIPELINE.replace("DELIVERY", "lossless"))?;
     let frames = SMALL_FRAMES.to_string();
@@ -81,8 +81,8 @@ fn lossless_rate(folder: &Path) -> Outcome<f64> {
     Ok(rate.ok_or_else(|| format!("no rate in: {summary}"))?.parse()?)
 }
 
-/// Prints what looking on costs a run that goes flat out without loss: processor time of its stages per frame, without and
-/// with an onlooker in turn.
+/// Prints what an onlooker costs a lossless run at full speed: CPU time of its stages per frame, alternately without and with an
+/// onlooker.
 fn onlookers(folder: &Path) -> Outcome<()> {
     println!(
         "\nlossless, 64x48, flat out; processor time of the five stages in us per frame, medians of {TURNS} turns"
@@ -122,7 +122,7 @@ fn onlookers(folder: &Path) -> Outcome<()> {
     Ok(())
 }
 
-/// Processor time of the stages per frame in us, frames per second, and per cent of a core that the onlooker takes.
+/// CPU time of the stages per frame in us, frames per second, and the CPU load of the onlooker in per cent of a core.
 fn turn(folder: &Path, stages: &[u32], onlooker: Option<u32>) -> Outcome<[f64; 3]> {
     let time_of_all = || stages.iter().map(|stage| processor_ns(*stage)).sum::<Outcome<u64>>();
     let own_time = || onlooker.map_or(Ok(0), processor_ns);
@@ -139,7 +139,7 @@ fn children(launcher: u32) -> Outcome<Vec<u32>> {
     Ok(text.split_whitespace().map(str::parse).collect::<Result<_, _>>()?)
 }
 
-/// The time that a process has had on a processor.
+/// The CPU time of a process in nanoseconds.
 fn processor_ns(process: u32) -> Outcome<u64> {
     let mut sum = 0;
     for thread in fs::read_dir(format!("/proc/{process}/task"))? {
@@ -149,7 +149,7 @@ fn processor_ns(process: u32) -> Outcome<u64> {
     Ok(sum)
 }
 
-/// The number of the newest frame that has arrived at the sink.
+/// The sequence number of the newest frame at the sink.
 fn newest(folder: &Path) -> Outcome<u64> {
     let mut file = File::open(folder.join("tracks.jsonl"))?;
     let length = file.seek(SeekFrom::End(0))?;
@@ -166,7 +166,7 @@ fn median(mut values: Vec<f64>) -> f64 {
     values[values.len() / 2]
 }
 
-/// Prints what a live run at 30 Hz needs.
+/// Prints the times and resources of a live run at 30 Hz.
 fn live(folder: &Path) -> Outcome<()> {
     fs::write(folder.join("pipeline.toml"), PIPELINE.replace("DELIVERY", "latest"))?;
     let large = ["run", "--set", "source.rate_hz=30", "--set", "source.width=640"];
@@ -210,7 +210,7 @@ fn live(folder: &Path) -> Outcome<()> {
     run.end()
 }
 
-/// Memory that is a process's own, in MB, and how many threads it has.
+/// Private memory of a process in MB, and its number of threads.
 fn process(id: &str) -> Outcome<(f64, usize)> {
     let text = fs::read_to_string(format!("/proc/{id}/smaps_rollup"))?;
     let private = text.lines().filter(|line| line.starts_with("Private_"));
@@ -218,7 +218,7 @@ fn process(id: &str) -> Outcome<(f64, usize)> {
     Ok((kb / 1e3, fs::read_dir(format!("/proc/{id}/task"))?.count()))
 }
 
-/// A run that ends with this program.
+/// A child process that is ended when this is dropped.
 struct Ended(Child);
 
 impl Ended {

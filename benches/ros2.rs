@@ -1,5 +1,5 @@
-//! Age of a depth image of ROS 2, from when a robot's node has written it to when a stage has it, and to when its objects are
-//! there, beside that of the same bytes at a bare Zenoh subscriber.
+//! Age of a ROS 2 depth image, from when a robot's node has written it until a stage has it, and until its objects are found,
+//! beside that of the same bytes at a bare Zenoh subscriber.
 //!
 //! `cargo bench --bench ros2`: a router and the node in this process, at 30 images of 640x480 of one cluttered scene a second;
 //! milliseconds. All are clients of the router.
@@ -31,7 +31,7 @@ const NODES: &[Node] = &[
 const REGISTRY: Registry = Registry { nodes: NODES, network: None };
 const IMAGE_KEY: &str = "0/camera/depth/image_rect_raw/sensor_msgs::msg::dds_::Image_/RIHS01_0";
 const INFO_KEY: &str = "0/camera/depth/camera_info/sensor_msgs::msg::dds_::CameraInfo_/RIHS01_0";
-/// What reads the images.
+/// The stages that read the images.
 const TO_A_STAGE: &str = "[stage.ages]\nnode = \"frame_ages\"\ninput = \"depth\"\n";
 const TO_OBJECTS: &str = "[stage.extractor]\nnode = \"row_ellipse_extractor\"\ninput = \"depth\"\noutput = \"ellipses\"\n\
                           [stage.assembler]\nnode = \"object_assembler\"\ninput = \"ellipses\"\noutput = \"objects\"\n\
@@ -90,7 +90,7 @@ impl Robot {
         write_units(Stamped { stamp_ns, frame_id: "camera" }, size, &self.pixels, Vec::new())
     }
 
-    /// Sends images with their stamps, and what tells their camera, as long as `goes_on`, which is told how many there were.
+    /// Sends images with their stamps, and their CameraInfo, while `goes_on` returns true; it gets the number of images so far.
     fn send(&self, mut goes_on: impl FnMut(usize) -> bool) -> Outcome<()> {
         let zenoh = |error: zenoh::Error| error.to_string();
         let mut sent = 0;
@@ -105,7 +105,7 @@ impl Robot {
     }
 }
 
-/// Ages of the images where they are subscribed, and nothing else.
+/// Ages of the images at a bare subscriber.
 fn bare(robot: &Robot, endpoint: &str) -> Outcome<[f64; 2]> {
     let there = session("client", "connect", endpoint)?;
     let ages = Arc::new(Mutex::new(Vec::new()));
@@ -121,7 +121,7 @@ fn bare(robot: &Robot, endpoint: &str) -> Outcome<[f64; 2]> {
     percentiles(std::mem::take(&mut *lock(&ages)))
 }
 
-/// Ages of the images, or of what is found in them, at a stage of a pipeline.
+/// Ages of the images, or of their objects, at a stage of a pipeline.
 fn through(robot: &Robot, endpoint: &str, stages: &str) -> Outcome<[f64; 2]> {
     let folder = TempDir::new()?;
     let text = format!(

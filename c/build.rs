@@ -1,5 +1,5 @@
-//! Gives the shared library its name, by which programs that were linked with it find it. Below version 1 each minor version has
-//! a layout of its own, and so a name of its own.
+//! Sets the name (soname) of the shared library, by which linked programs find it. Below version 1 each minor version has its own
+//! layouts, and so its own name.
 
 fn main() {
     let version = env!("CARGO_PKG_VERSION_MAJOR").to_owned() + "." + env!("CARGO_PKG_VERSION_MINOR");

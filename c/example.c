@@ -11,7 +11,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-/* The next number in the head of a PGM, in which lines that begin with # say nothing; 0 if there is none. */
+/* Reads the next number in the header of a PGM, skipping lines that begin with #; returns 0 if there is none. */
 static unsigned read_number(FILE *file) {
     unsigned number = 0;
     while (fscanf(file, " %u", &number) != 1 && fgetc(file) == '#') {
@@ -20,7 +20,7 @@ static unsigned read_number(FILE *file) {
     return number;
 }
 
-/* The pixels of a PGM, which has the higher byte of each first; NULL if it is none. */
+/* Reads the pixels of a PGM, which are big-endian; returns NULL if the file is no PGM. */
 static uint16_t *read_pgm(const char *path, conicflow_camera *camera) {
     FILE *file = fopen(path, "rb");
     uint16_t *depth = NULL;

@@ -1,7 +1,7 @@
-//! Two stages of one's own with an item type of their own, outside of this repository: one tells where a gripper may take
-//! each object, the other writes down what it gets.
+//! Two stages with their own item type, outside of this repository: one computes where a gripper can grasp each object, the other
+//! writes down the grasps.
 //!
-//! The pipeline file describes the type, for all that carry and show it without knowing it:
+//! The pipeline file describes the type for all programs that carry or show it without knowing it:
 //!
 //! ```toml
 //! [item.grasps]
@@ -28,17 +28,17 @@ use std::fs::File;
 use std::io::Write;
 use std::process::ExitCode;
 
-/// Where a gripper may take an object: the fields in the order of the pipeline file.
+/// A grasp: the fields in the order of the pipeline file.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 struct Grasp {
     /// In the camera frame, in metres.
     position: [f64; 3],
-    /// How wide the gripper has to open, in metres.
+    /// Required opening of the gripper, in metres.
     width: f64,
-    /// Number of the object in its list.
+    /// Index of the object in its list.
     id: u32,
-    /// What the object is.
+    /// The shape of the object.
     shape: Text<12>,
 }
 
@@ -61,7 +61,7 @@ impl Item for Grasp {
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 struct PlannerConfig {
-    /// What is wider, in metres, cannot be taken.
+    /// Maximum width of a grasp, in metres.
     max_width: f64,
 }
 
@@ -71,7 +71,7 @@ impl Default for PlannerConfig {
     }
 }
 
-/// Tells where a gripper may take each object.
+/// Computes where a gripper can grasp each object.
 struct Planner {
     config: PlannerConfig,
 }
@@ -98,7 +98,7 @@ impl Stage for Planner {
     }
 }
 
-/// Writes down the grasps that it gets.
+/// Writes down the grasps that it receives.
 struct Gripper {
     file: File,
 }

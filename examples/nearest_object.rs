@@ -1,6 +1,6 @@
-//! A stage of one's own, outside of this repository: passes on the objects that are nearest to the camera.
+//! A stage outside of this repository: passes on the objects that are nearest to the camera.
 //!
-//! Built, it runs from any pipeline file, and its parameters stand there as those of the built-in nodes do:
+//! Once built, it runs in any pipeline file, with its parameters in its table like those of the built-in nodes:
 //!
 //! ```toml
 //! [stage.nearest]
@@ -20,7 +20,7 @@ use std::process::ExitCode;
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 struct NearestObjectConfig {
-    /// How many objects are passed on at most.
+    /// Maximum number of objects that are passed on.
     max_objects: usize,
 }
 

@@ -1,6 +1,6 @@
-//! A camera of one's own: raw frames of 16-bit depths (Z16, little-endian, row by row) from a pipe or a file.
+//! A source for a camera: raw frames of 16-bit depths (Z16, little-endian, row by row) from a pipe or a file.
 //!
-//! So come the frames of every depth camera that Linux has a driver for:
+//! Every depth camera with a Linux driver can deliver its frames like this:
 //!
 //! ```console
 //! $ mkfifo depth.z16
@@ -17,9 +17,9 @@
 //! noise       = { floor_m = 0.0, growth_per_m = 0.002, knee_m = 0.0, step_per_m = 0.0 }
 //! ```
 //!
-//! With the library of a camera it is the same: the device is opened when the first frame is asked for, as a stage that cannot
-//! be made ready ends the run, while one that fails later is started anew; and whoever waits for it looks at
-//! [`Stop::requested`] meanwhile.
+//! A source that uses the library of a camera works the same way. It opens the device when the first frame is requested, because
+//! a stage that cannot be initialised ends the run, while one that fails later is restarted; and it checks [`Stop::requested`]
+//! while it waits.
 
 use anyhow::{Context as _, bail};
 use conicflow_dataflow::{Context, Next, Output, SideInputs, Source, StageError, Stop, run_source};
@@ -46,7 +46,7 @@ struct RawCameraConfig {
     camera: Camera,
     /// Metres per unit of a pixel.
     depth_scale: f64,
-    /// Coefficients of the depth noise, as `experiments/noise.toml` finds them.
+    /// Coefficients of the depth noise, as determined with `experiments/noise.toml`.
     #[schemars(with = "serde_json::Value")]
     noise: NoiseModel,
 }
@@ -104,18 +104,18 @@ fn now_ns() -> u64 {
     UNIX_EPOCH.elapsed().map_or(0, |since| since.as_nanos() as u64)
 }
 
-/// Without waiting for whoever writes into a pipe.
+/// Opens a pipe without waiting for its writer.
 fn open_device(path: &Path) -> anyhow::Result<File> {
     let device = open(path, OFlags::RDONLY | OFlags::NONBLOCK | OFlags::CLOEXEC, Mode::empty());
     Ok(File::from(device.with_context(|| format!("cannot open `{}`", path.display()))?))
 }
 
-/// Whether a whole frame came before the stream or the run ended.
+/// Reads a frame; returns false if the stream or the run has ended before.
 fn read_frame(device: &mut File, frame: &mut [u8], stop: &Stop) -> anyhow::Result<bool> {
     let mut filled = 0;
     while filled < frame.len() {
         let patience = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
-        // A signal that tells the stage to end interrupts the wait.
+        // A signal that asks the stage to end interrupts the wait.
         let (Ok(0) | Err(Errno::INTR)) = poll(&mut [PollFd::new(device, PollFlags::IN)], Some(&patience)) else {
             filled += match device.read(&mut frame[filled..]) {
                 Ok(0) if filled == 0 => return Ok(false),

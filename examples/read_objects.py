@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Prints the objects that one machine of a pipeline sends to another, with nothing of conicflow but the wire.
+"""Prints the objects that one machine of a pipeline sends to another. It needs no conicflow: it decodes the messages itself.
 
     pip install eclipse-zenoh
     read_objects.py tcp/127.0.0.1:7447 PIPELINE MACHINE TOPIC
 
 The key is conicflow/PIPELINE/MACHINE/TOPIC, where MACHINE writes TOPIC. The bytes (bridge/src/wire/mod.rs): `CFLO`, the
 version as u16, session as u64, a code of 32 bytes, stream, number and oldest number as u64, all little-endian; then bincode 2,
-standard configuration: the names of the layouts, the header, the list. This script believes what it reads: it passes over the
-code, which tells those who have the machines' key who made the message.
+standard configuration: the names of the layouts, the header, the list. This script trusts its input: it ignores the
+code, which authenticates the message to those with the machines' key.
 """
 
 import json
@@ -25,7 +25,7 @@ PLACE = "<4sHQ32sQQQ"
 
 
 class Bytes:
-    """Reads bincode: whole numbers in as many bytes as they need, reals in eight, text and lists after their length."""
+    """Decodes bincode: integers of variable length, floats of eight bytes, text and lists preceded by their length."""
 
     def __init__(self, content):
         self.content, self.at = content, 0
@@ -100,7 +100,7 @@ def main(endpoint, pipeline, machine, topic):
         nonlocal failure
         try:
             look_at(sample)
-        except Exception as error:  # who reads the lines has gone, or the message is of another version
+        except Exception as error:  # standard output is closed, or the message is of another version
             failure = error
             done.set()
 
@@ -108,7 +108,7 @@ def main(endpoint, pipeline, machine, topic):
         nonlocal newest
         stream, number, message, ended = read_message(sample.payload.to_bytes())
         if stream == newest[0] and number <= newest[1]:
-            return  # sent again: the receiver of a lossless edge had not acknowledged it
+            return  # a retransmission: the receiver of a lossless edge had not acknowledged it
         newest = (stream, number)
         if not ended:
             print(json.dumps(message), flush=True)
@@ -117,7 +117,7 @@ def main(endpoint, pipeline, machine, topic):
 
     with zenoh.open(config) as session:
         while not session.info.peers_zid() and not session.info.routers_zid():
-            time.sleep(0.1)  # it connects as soon as there is somebody
+            time.sleep(0.1)  # it connects as soon as there is a peer
         subscriber = session.declare_subscriber(f"conicflow/{pipeline}/{machine}/{topic}", receive)
         print("listening", file=sys.stderr, flush=True)
         done.wait()

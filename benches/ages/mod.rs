@@ -1,5 +1,5 @@
-//! What the benchmarks of messages between machines have in common: one frame of a cluttered scene, runs of their own program,
-//! and a sink that writes down how old messages are when they come.
+//! Common parts of the benchmarks of messages between machines: a frame of a cluttered scene, runs of the benchmark's own
+//! program, and a sink that records the age of messages.
 
 use bytemuck::cast_slice;
 use conicflow_dataflow::pipeline::{Pipeline, SourceText};
@@ -19,7 +19,7 @@ use std::process::{Child, Command};
 
 pub type Outcome<T> = Result<T, Box<dyn Error>>;
 
-/// The first messages find caches and connections cold.
+/// The first messages are slow, because caches and connections are cold.
 const WARM_UP: usize = 60;
 const FOLDER: &str = "BENCH_FOLDER";
 
@@ -30,10 +30,9 @@ pub fn frame() -> Outcome<(Header, Vec<u16>)> {
     Ok(collect::<SyntheticSource>(config, context, 1)?.pop().ok_or("the source made nothing")?)
 }
 
-/// Starts this program once more, with these arguments and the folder of its files behind them; `name` tells its runtime folder
-/// from those of others.
+/// Starts this program again, with these arguments followed by the folder of its files; `name` distinguishes its runtime folder.
 pub fn start(arguments: &[&str], folder: &Path, name: &str) -> Outcome<Child> {
-    // Unix sockets lie there, and have to have short paths.
+    // Unix sockets are in this folder and need short paths.
     let runtime = folder.join(&name[..1]);
     std::fs::create_dir(&runtime)?;
     std::fs::set_permissions(&runtime, std::fs::Permissions::from_mode(0o700))?;
@@ -42,7 +41,7 @@ pub fn start(arguments: &[&str], folder: &Path, name: &str) -> Outcome<Child> {
     Ok(command.spawn()?)
 }
 
-/// Runs the pipeline of a folder, until its sources have made so many messages.
+/// Runs the pipeline of a folder until its sources have made this number of messages.
 pub fn run_pipeline(folder: &Path, machine: Option<&str>, messages: usize, registry: &Registry) -> Outcome<()> {
     let text = std::fs::read_to_string(folder.join("pipeline.toml"))?;
     let source = SourceText { name: "pipeline.toml".to_owned(), text };
@@ -53,14 +52,14 @@ pub fn run_pipeline(folder: &Path, machine: Option<&str>, messages: usize, regis
     if run(&plan, &options)?.is_complete() { Ok(()) } else { Err("the run was not finished".into()) }
 }
 
-/// The times in milliseconds at a half and at 99 of 100 that the sink of a folder's pipeline has written down.
+/// The median and the 99th percentile, in milliseconds, of the ages that the sink in a folder has recorded.
 pub fn written_in(folder: &Path) -> Outcome<[f64; 2]> {
     let bytes = std::fs::read(folder.join("ages"))?;
     let ages = bytes.chunks_exact(8).map(|age| u64::from_ne_bytes(age.try_into().unwrap_or_default()));
     percentiles(ages.collect())
 }
 
-/// The times in milliseconds at a half and at 99 of 100.
+/// The median and the 99th percentile, in milliseconds.
 pub fn percentiles(mut ages_ns: Vec<u64>) -> Outcome<[f64; 2]> {
     let mut ages_ns = ages_ns.split_off(WARM_UP.min(ages_ns.len()));
     ages_ns.sort_unstable();
@@ -68,10 +67,10 @@ pub fn percentiles(mut ages_ns: Vec<u64>) -> Outcome<[f64; 2]> {
     Ok([0.5, 0.99].map(|share| ages_ns[(share * last as f64) as usize] as f64 * 1e-6))
 }
 
-/// Writes down how old messages are when they come.
+/// Records the age of messages when they arrive.
 pub struct Ages<T>(Vec<u64>, PhantomData<T>);
 
-/// A kind of message, and the name of the sink that takes it.
+/// An item type, with the name of its sink.
 pub trait Aged: Item {
     const SINK: &'static str;
 }

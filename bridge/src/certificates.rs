@@ -1,5 +1,5 @@
-//! The certificates by which a machine shows others who it is, as its Zenoh configuration names them: whether they fit their
-//! keys, and whether others can take them now. (Zenoh tells neither: a link does not come about, and that is all.)
+//! Checks of the certificates in a machine's Zenoh configuration: whether they match their keys, and whether other machines
+//! accept them now. (Zenoh reports neither: the link just fails.)
 
 use conicflow_dataflow::Hinted;
 use rustls::client::WebPkiServerVerifier;
@@ -19,8 +19,8 @@ const NEW_ONE: &str =
 const CLOCK: &str = "is the clock of this machine right? if it is, have the certificate made anew, as \
                      examples/tls/certificates.sh does";
 
-/// What is wrong with the certificates of the table `transport.link.tls`: one that is not of its key, and what others would
-/// refuse, who know each other by the authority that is named. Files that are not here tell nothing.
+/// Returns the faults of the certificates in the table `transport.link.tls`: one that does not match its key, or one that
+/// machines with the named authority refuse. Files that do not exist are skipped.
 pub(crate) fn warnings(tls: &Json, now: UnixTime) -> Vec<Hinted> {
     let mut warnings: Vec<Hinted> = Vec::new();
     for way in ["listen", "connect"] {
@@ -56,7 +56,7 @@ fn check_pair(certificate: &Path, key: &Path) -> Result<(), Hinted> {
     }
 }
 
-/// The certificates in a file, that of the machine first.
+/// Reads the certificates in a file, the machine's own first.
 fn read(path: &Path) -> Result<Vec<CertificateDer<'static>>, Hinted> {
     let read = CertificateDer::pem_file_iter(path).and_then(Iterator::collect::<Result<Vec<_>, _>>);
     match read {
@@ -75,7 +75,7 @@ fn examine(certificate: &Path, authority: &Path, listens: bool, now: UnixTime) -
     let result = verify(own, between, Arc::new(roots), listens, now);
     let (shown, authority) = (certificate.display(), authority.display());
     match result {
-        // By which of its names others connect is not known here.
+        // The name by which others connect is not known here.
         None | Some(Error::InvalidCertificate(CertificateError::NotValidForNameContext { .. })) => Ok(()),
         Some(Error::InvalidCertificate(CertificateError::ExpiredContext { time, not_after })) => {
             let ago = in_words(time.as_secs().saturating_sub(not_after.as_secs()));
@@ -93,7 +93,7 @@ fn examine(certificate: &Path, authority: &Path, listens: bool, now: UnixTime) -
     }
 }
 
-/// Why somebody with these authorities refuses a certificate, if so.
+/// Returns why a machine with these authorities refuses a certificate, if it does.
 fn verify(
     own: &CertificateDer<'_>,
     between: &[CertificateDer<'_>],
@@ -134,7 +134,7 @@ mod tests {
 
     const DAY: u64 = 86_400;
 
-    /// A folder with an authority, and the certificate of `robot`; nothing, said loudly, where it cannot be made.
+    /// A folder with an authority and the certificate of `robot`; `None`, with a message, if it cannot be made.
     fn made() -> Option<tempfile::TempDir> {
         let folder = tempfile::tempdir().unwrap();
         let mut script = Command::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/tls/certificates.sh"));
@@ -199,7 +199,7 @@ mod tests {
         ] {
             let warnings = warnings(&own, in_days(days));
             let told = told(&warnings);
-            // A second may have passed since it was made.
+            // A second may have passed since the certificate was made.
             let is_as_expected = told == expected || told == ["is not valid yet, but in 9 days"] && days == -10;
             assert!(is_as_expected || told == ["has expired 9 days ago"] && days == 835, "{days}: {told:?}");
         }

@@ -1,4 +1,4 @@
-//! The bounded channel from Zenoh's threads to the thread of an edge; those never wait.
+//! The bounded channel from Zenoh's threads to the thread of an edge; the sending side never waits.
 
 use conicflow_dataflow::lock;
 use std::collections::VecDeque;
@@ -14,12 +14,13 @@ pub(super) struct Channel<M> {
 }
 
 impl<M> Channel<M> {
-    /// A queue of `capacity` messages. When it is full the oldest makes room if the newest wins, else what comes is refused.
+    /// Creates a queue of `capacity` messages. When it is full, `newest_wins` drops the oldest message; otherwise a new one is
+    /// refused.
     pub(super) fn new(capacity: usize, newest_wins: bool) -> Self {
         Self { messages: Mutex::default(), arrived: Condvar::new(), capacity, newest_wins }
     }
 
-    /// Adds a message; false if one was lost by that.
+    /// Adds a message; returns false if a message was lost.
     pub(super) fn send(&self, message: M) -> bool {
         let mut messages = lock(&self.messages);
         let full = messages.len() >= self.capacity;
@@ -33,7 +34,7 @@ impl<M> Channel<M> {
         !full
     }
 
-    /// The oldest message, as soon as there is one, at most after `timeout`.
+    /// Waits for a message for at most `timeout` and returns the oldest one.
     pub(super) fn receive(&self, timeout: Duration) -> Option<M> {
         let messages = lock(&self.messages);
         let waited = self.arrived.wait_timeout_while(messages, timeout, |messages| messages.is_empty());

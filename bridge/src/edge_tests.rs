@@ -1,4 +1,4 @@
-//! Tests of an edge from end to end within one process: two machines, each with shared memory of its own, joined by a stream.
+//! End-to-end tests of an edge within one process: two machines, each with its own shared memory, joined by a stream.
 
 use crate::peer::counts::EdgeCounts;
 use crate::peer::heartbeat::Ack;
@@ -24,7 +24,7 @@ use std::time::{Duration, Instant};
 const DEADLINE: Duration = Duration::from_secs(60);
 const OUTAGE: Duration = Duration::from_secs(30);
 
-/// Waits until something holds.
+/// Waits until `holds` returns true.
 pub fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
     let begin = Instant::now();
     while !holds() {
@@ -33,7 +33,7 @@ pub fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
     }
 }
 
-/// The edge from `robot` to `base`, as it is on the machine where `reader` reads the topic.
+/// The edge from `robot` to `base`, as on the machine where `reader` reads the topic.
 pub fn edge(delivery: Delivery, reader: &str) -> Edge {
     let (item, writers) = (ItemType::of::<Object>(), vec!["writer".to_owned()]);
     let readers = vec![TopicReader { stage: reader.to_owned(), delivery, queue: 4 }];
@@ -42,7 +42,7 @@ pub fn edge(delivery: Delivery, reader: &str) -> Edge {
     Edge { topic, item, from: "robot".into(), writers, to, compression: Compression::None }
 }
 
-/// Ends all that runs by these when the test is over, also where it fails: else it would wait for them for ever.
+/// Forces these stops when the test is over, even if it fails; otherwise it would wait for their threads for ever.
 pub struct Ending<const N: usize>(pub [Stop; N]);
 
 impl<const N: usize> Drop for Ending<N> {
@@ -51,7 +51,7 @@ impl<const N: usize> Drop for Ending<N> {
     }
 }
 
-/// A machine with the part of the edge that is on it.
+/// A machine with its part of the edge.
 pub struct Side {
     name: &'static str,
     pub edge: Edge,
@@ -66,7 +66,7 @@ impl Side {
         Self::of_run(name, edge, folder, key, None)
     }
 
-    /// The same with a folder in which its bridge notes what the next one has to know.
+    /// The same, with a folder for the notes of its bridge.
     fn of_run(name: &'static str, edge: Edge, folder: &Path, key: Option<&LinkKey>, run_folder: Option<&Path>) -> Self {
         let (session, stop) = (if name == "robot" { 5 } else { 9 }, Stop::default());
         let [outgoing, incoming] = ["robot", "base"].map(|of| if of == name { vec![edge.clone()] } else { vec![] });
@@ -76,7 +76,7 @@ impl Side {
         Self { name, edge, links, memory, counts: Arc::default(), stop }
     }
 
-    /// What the threads of its bridge share, with these sessions.
+    /// The state that the threads of its bridge share, with these sessions.
     pub fn shared<'a>(&'a self, sessions: &'a Sessions, peers: &'a Peers) -> Shared<'a> {
         let session = if self.name == "robot" { 5 } else { 9 };
         let (transport, links, machine, stop) = (&self.memory, &self.links, self.name, &self.stop);
@@ -102,7 +102,7 @@ pub fn header(writer: &str, number: u64) -> Header {
     header
 }
 
-/// As many objects as the number of the message says, each with that number in it.
+/// As many objects as the number of the message, each with that number as its radius.
 fn objects(number: u64) -> Vec<Object> {
     vec![Object { radius: number as f64, ..Object::default() }; number as usize]
 }
@@ -112,7 +112,7 @@ pub fn memory(folder: &Path, stage: &str) -> SharedMemory {
     SharedMemory::open(folder, "test", stage, Stop::default()).unwrap()
 }
 
-/// Writes messages, among them some of a stage that has no part in the edge, and their end.
+/// Writes messages and their end, with some messages of a stage that has no part in the edge in between.
 pub fn write(memory: &SharedMemory, topic: &Topic, count: u64) {
     let mut writer = memory.writer::<Object>(topic).unwrap();
     for number in 0..count {
@@ -126,7 +126,7 @@ pub fn write(memory: &SharedMemory, topic: &Topic, count: u64) {
     wait_until("all of it was taken", || writer.connected().is_empty());
 }
 
-/// The numbers of the messages that come until the end, whose items are looked at, and how many the end says that there were.
+/// Reads messages until the end and checks their items. Returns their numbers, and how many there were according to the end.
 pub fn read(mut reader: impl Reader) -> (Vec<u64>, u64) {
     let (mut came, begin) = (Vec::new(), Instant::now());
     while begin.elapsed() < DEADLINE {
@@ -144,19 +144,19 @@ pub fn read(mut reader: impl Reader) -> (Vec<u64>, u64) {
     panic!("the end does not come, after {came:?}");
 }
 
-/// Lets each machine hear a heartbeat of the other.
+/// Exchanges one heartbeat in each direction.
 fn tell_each_other(robot: &Side, base: &Side) {
     robot.links.say("@robot", robot.links.news(), |bytes| base.links.heard("robot", "@robot", &bytes));
     base.links.say("@base", base.links.news(), |bytes| robot.links.heard("base", "@base", &bytes));
 }
 
-/// What is left of messages that come to `base`, whose bridge has met that of `robot`: counts of those that were passed on, that
-/// came too late, that made no sense and that are lost by that, and what is acknowledged.
+/// Hands messages to `base`, whose bridge has met that of `robot`. Returns the counts of messages that were passed on, stale,
+/// malformed and refused, and the acknowledgement.
 fn accepted(delivery: Delivery, messages: &[Vec<u8>]) -> ([u64; 4], Ack) {
     accepted_with(Some(&secret()), delivery, messages)
 }
 
-/// The same with a key, or without one: then each message is sent until it is acknowledged.
+/// The same with a key or without one; without it, each message is sent until it is acknowledged.
 fn accepted_with(key: Option<&LinkKey>, delivery: Delivery, messages: &[Vec<u8>]) -> ([u64; 4], Ack) {
     let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
     let robot = Side::new("robot", edge(delivery, BRIDGE), folders[0].path(), key);
@@ -193,7 +193,7 @@ fn on_the_wire(header: &Header, number: u64, oldest: u64) -> Vec<u8> {
     encode_message(position, &item, header, bytemuck::cast_slice(&objects(number)), Compression::None).unwrap()
 }
 
-/// Carries so many messages over an edge: those that came, how many there were, and both sides afterwards.
+/// Carries `count` messages over an edge. Returns the numbers that came, how many there were, and both sides.
 fn carry(key: Option<&LinkKey>, delivery: Delivery, count: u64) -> (Vec<u64>, u64, [Side; 2]) {
     let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
     let robot = Side::new("robot", edge(delivery, BRIDGE), folders[0].path(), key);
@@ -306,8 +306,8 @@ fn a_message_that_was_not_the_next_of_its_writer_is_left_out_and_told_when_the_t
     });
 }
 
-/// The first bridge is killed when it has acknowledged the end, before it has told a reader; nothing is heard of the other machine
-/// again but the first of three messages. The end tells of the others.
+/// The first bridge is killed after it has acknowledged the end and before it has announced it to a reader. Of the other machine,
+/// only the first of three messages comes again; the end accounts for the other two.
 #[test]
 fn a_bridge_that_takes_the_place_of_one_which_acknowledged_the_end_tells_it_with_its_count_and_notes_it_for_who_comes_later()
  {

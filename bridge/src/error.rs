@@ -1,4 +1,4 @@
-//! What a bridge can fail of.
+//! The errors of a bridge.
 
 use crate::wire::WireError;
 use conicflow_dataflow::Hinted;
@@ -7,21 +7,21 @@ use conicflow_dataflow::ports::PortError;
 /// Why a bridge ended before its edges did.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum BridgeError {
-    /// The machine's table, or its Zenoh file.
+    /// A fault in the machine's table or its Zenoh file.
     #[error("{0}")]
     Settings(#[from] Hinted),
-    /// Shared memory.
+    /// An error of shared memory.
     #[error(transparent)]
     Port(#[from] PortError),
-    /// Bytes that cannot be made.
+    /// A message that cannot be encoded.
     #[error(transparent)]
     Wire(#[from] WireError),
-    /// Zenoh.
+    /// An error of Zenoh.
     #[error("{doing}: {reason}\n  hint: are the endpoints in the machine's table right, and free?")]
     Zenoh {
-        /// What was being done.
+        /// The action that failed.
         doing: String,
-        /// What Zenoh said.
+        /// The reason that Zenoh gives.
         reason: String,
     },
     /// A thread panicked.
@@ -30,7 +30,7 @@ pub(crate) enum BridgeError {
 }
 
 impl BridgeError {
-    /// Whether starting anew would not help.
+    /// Whether a restart would not help.
     pub(crate) fn is_final(&self) -> bool {
         use PortError::{Incompatible, PathTooLong};
         matches!(self, Self::Settings(_) | Self::Port(Incompatible { .. } | PathTooLong { .. }))

@@ -1,5 +1,5 @@
-//! Why a link by TLS does not come about. Zenoh says so in its log alone, and tries again for ever: what a handshake failed of is
-//! heard there, and told once, in words that say which side has refused whom and why.
+//! Reports why a TLS link fails. Zenoh only logs the failure and retries for ever. This layer reads Zenoh's log and reports each
+//! failed handshake once, saying which side has refused which, and why.
 
 use crate::told_once::ToldOnce;
 use conicflow_dataflow::lock;
@@ -12,10 +12,10 @@ use tracing_subscriber::filter::Targets;
 use tracing_subscriber::layer::Context;
 use tracing_subscriber::registry::LookupSpan;
 
-/// What is to be told now; and all that ever was.
+/// Reasons to report now, and all that were ever reported.
 static HEARD: Mutex<(Vec<String>, ToldOnce)> = Mutex::new((Vec::new(), ToldOnce::new()));
 
-/// What hears Zenoh's log, beside what the user sees of it.
+/// A log layer that reads Zenoh's log, in addition to what the user sees of it.
 pub fn ear<S: Subscriber + for<'a> LookupSpan<'a>>() -> impl Layer<S> {
     let targets = Targets::new().with_target("zenoh::net::runtime::orchestrator", Level::DEBUG);
     let links = ["zenoh_link_tls", "zenoh_link_quic", "zenoh_link_commons"].map(|target| (target, Level::WARN));
@@ -25,7 +25,7 @@ pub fn ear<S: Subscriber + for<'a> LookupSpan<'a>>() -> impl Layer<S> {
 struct Ear;
 
 impl<S: Subscriber> Layer<S> for Ear {
-    /// Nothing is logged from here, where Zenoh logs.
+    /// Must not log: it runs inside Zenoh's logging.
     fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
         let mut message = Message(String::new());
         event.record(&mut message);
@@ -48,13 +48,13 @@ impl Visit for Message {
     }
 }
 
-/// Tells what was heard since this was done last.
+/// Logs the reasons that were found since the last call.
 pub(crate) fn tell() {
     let (heard, _) = &mut *lock(&HEARD);
     heard.drain(..).for_each(|reason| tracing::error!("{reason}"));
 }
 
-/// What a line of Zenoh's log says of a handshake that failed, if it does.
+/// The reason of a failed handshake, if this line of Zenoh's log reports one.
 fn refusal(line: &str) -> Option<String> {
     let endpoint = line.split_once("Unable to connect to ").and_then(|(_, rest)| {
         let rest = rest.strip_prefix("configured peer ").unwrap_or(rest);
@@ -80,7 +80,7 @@ fn refusal(line: &str) -> Option<String> {
 const ONE_AUTHORITY: &str = "have certificates of one authority on all machines, and its ca.pem, as \
                              examples/tls/certificates.sh makes them";
 
-/// What is wrong with a certificate that was shown, and what to do.
+/// Describes the fault of a certificate that was shown, and what to do.
 fn fault_of_theirs(fault: &str) -> (String, &'static str) {
     if fault.starts_with("certificate expired") || fault.starts_with("Expired") {
         return ("has expired".to_owned(), "give that machine a new one; or is the clock of this one wrong?");
@@ -105,7 +105,7 @@ fn fault_of_theirs(fault: &str) -> (String, &'static str) {
     }
 }
 
-/// What the other side says, by an alert of TLS, of the certificate that this machine shows.
+/// Describes the fault that the other side finds in this machine's certificate, from its TLS alert.
 fn fault_of_ours(alert: &str) -> (String, &'static str) {
     let (what, hint) = match alert {
         "CertificateRequired" => (

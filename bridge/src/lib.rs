@@ -1,19 +1,20 @@
-//! Edges between machines, over Zenoh, and taking part in ROS 2 ([`ros2`]): the only place that knows Zenoh.
+//! Edges between machines over Zenoh, and participation in ROS 2 ([`ros2`]): the only package that uses Zenoh.
 //!
-//! Where a topic is written on one machine and read on another, the launcher of each starts one bridge process ([`process`]).
-//! What leaves is read from shared memory, encoded ([`wire`]) and put under `conicflow/PIPELINE/MACHINE/TOPIC` ([`sending`]);
-//! what comes is checked, decoded and written into shared memory ([`receiving`]). Each bridge also puts a small heartbeat
-//! under `conicflow/PIPELINE/@link/MACHINE` ([`peer`]): it acknowledges, measures the clocks, and shows that the link lives,
-//! because Zenoh's `put` succeeds with nobody there. Where the machines share a key, nothing counts that was not made with it by
-//! the present start of the other bridge (`wire::seal`, `peer::links`). What is short and may be lost goes by datagrams, where
-//! the file names endpoints for these ([`session`]). [`reliable`] holds the two ends of lossless delivery, and the window that
-//! keeps what is under way from becoming a queue where the newest wins. Where links are TLS, a certificate that does not do is
-//! told before (`certificates`), and one that is refused when that happens ([`ear`]).
+//! Where a topic is written on one machine and read on another, the launcher of each machine starts one bridge process
+//! ([`process`]). Outgoing messages are read from shared memory, encoded ([`wire`]) and put under
+//! `conicflow/PIPELINE/MACHINE/TOPIC` ([`sending`]); incoming messages are checked, decoded and written into shared memory
+//! ([`receiving`]). Each bridge also puts a small heartbeat under `conicflow/PIPELINE/@link/MACHINE` ([`peer`]): it acknowledges
+//! messages, compares the clocks, and shows that the link is alive, because Zenoh's `put` succeeds without any receiver. Where
+//! the machines share a key, a message counts only if it was made with that key by the present start of the other bridge
+//! (`wire::seal`, `peer::links`). Short messages that may be lost go by datagrams, if the file names endpoints for them
+//! ([`session`]). [`reliable`] holds the two ends of lossless delivery, and the window that keeps messages under way from
+//! queueing with `latest`. For TLS links, faulty certificates are reported at the start (`certificates`), and failed handshakes
+//! when they occur ([`ear`]).
 //!
-//! Lossless delivery is written here, and not taken from `zenoh-ext` (`AdvancedPublisher`, `AdvancedSubscriber`), which has a
-//! cache, finds misses and sends again: it is marked unstable, and it has no back-pressure. A lossless edge has to let its
-//! writer wait as soon as a receiver lags, to keep what is not acknowledged for the process that takes the place of a killed
-//! one, and to say how many messages are lost in the end.
+//! Lossless delivery is implemented here rather than with `zenoh-ext` (`AdvancedPublisher`, `AdvancedSubscriber`), which has a
+//! cache, detects misses and retransmits, but is marked unstable and has no back-pressure. A lossless edge has to make its writer
+//! wait as soon as a receiver lags, to keep unacknowledged messages for the process that replaces a killed one, and to report the
+//! number of lost messages in the end.
 
 mod certificates;
 mod channel;
@@ -40,7 +41,7 @@ pub use wire::{MAX_MESSAGE, StreamPosition, WIRE_VERSION, WireError, decode_mess
 
 use conicflow_dataflow::{Carrier, Network, NetworkError};
 
-/// The network part of a program: it goes into its `Registry`.
+/// The network part of a program, for its `Registry`.
 pub const NETWORK: Network = Network {
     check: settings::check,
     warnings: settings::warnings,

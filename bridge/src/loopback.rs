@@ -1,10 +1,10 @@
-//! Ports for tests that listen at one later, here and in those of the whole program.
+//! Free ports for tests that listen on them later, here and in the tests of the whole program.
 
 use std::net::TcpListener;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// An endpoint on this host that nobody uses, each time another one. Who connects has a port that the system chooses, from 32768
-/// on: these are below, so that nobody takes one by chance before it is listened at.
+/// Returns an unused endpoint on this host, a different one each time. The system takes the ports of connecting sockets from
+/// 32768 up; these are below, so that none is taken by chance before a test listens on it.
 pub fn loopback() -> String {
     static TAKEN: AtomicU32 = AtomicU32::new(0);
     let next = || 10_000 + (97 * std::process::id() + TAKEN.fetch_add(1, Ordering::Relaxed)) % 22_000;

@@ -1,9 +1,9 @@
-//! The program `conicflow-bridge`: carries topics between machines, as a stage that `conicflow run` starts where the pipeline
-//! file has several, and runs the nodes that take part in ROS 2. It is a program of its own so that no other stage has the
-//! network in it.
+//! The program `conicflow-bridge`: carries topics between machines, as a stage that `conicflow run` starts for a pipeline file
+//! with several machines, and runs the nodes that take part in ROS 2. It is a separate program so that no other stage contains
+//! the network.
 //!
-//! `conicflow-bridge check`, `warnings` and `endpoints` answer what `conicflow` asks of a machine's table: they read it as JSON
-//! and write what is wrong with it, what may keep it from its links, or where it listens.
+//! `conicflow-bridge check`, `warnings` and `endpoints` answer questions of `conicflow` about a machine's table: they read the
+//! table as JSON and print what is wrong with it, what may keep it from its links, or where it listens.
 
 use conicflow_bridge::{NETWORK, NODES, ear};
 use conicflow_dataflow::pipeline::Machine;
@@ -16,7 +16,7 @@ const WRONG_INPUT: u8 = 2;
 
 fn main() -> ExitCode {
     let filter = std::env::var(LOG).unwrap_or_else(|_| DEFAULT_LOG.to_owned());
-    // What a link does is reported here; Zenoh's own words are for `CONICFLOW_LOG=zenoh=debug`.
+    // This program reports the state of links itself; Zenoh's own log is for `CONICFLOW_LOG=zenoh=debug`.
     log_beside(&format!("zenoh=error,{filter}"), ear());
     let question = std::env::args().nth(1);
     let (ended, code) = match question.as_deref() {
@@ -33,14 +33,14 @@ fn main() -> ExitCode {
     match ended {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            // Whether anybody reads it is not the bridge's concern.
+            // A failed write is ignored.
             writeln!(io::stderr(), "{}", error_text(&error)).ok();
             code.into()
         }
     }
 }
 
-/// Answers, as JSON, what is asked of a machine, whose table comes as JSON.
+/// Answers a question about a machine, as JSON; `table` is the machine's table in JSON.
 fn answer(question: &str, table: impl Read) -> Result<String, Box<dyn std::error::Error>> {
     let machine = || serde_json::from_reader::<_, Machine>(table);
     match question {

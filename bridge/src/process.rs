@@ -22,15 +22,15 @@ use std::time::{Duration, Instant};
 use zenoh::bytes::ZBytes;
 use zenoh::qos::Priority;
 
-/// How long lossless edges wait for a machine that has gone, where the file does not say.
+/// How long lossless edges wait for a machine that has gone, if the file does not set `outage_s`.
 const OUTAGE: Duration = Duration::from_secs(30);
 const TICK: Duration = Duration::from_millis(10);
-/// Without news a heartbeat is sent this often.
+/// The period of heartbeats without news.
 const HEARTBEAT_PERIOD: Duration = Duration::from_millis(200);
-/// The last acknowledgement is repeated, because nothing acknowledges that one.
+/// The last heartbeat is repeated, because nothing acknowledges it.
 const FAREWELLS: usize = 5;
 
-/// Carries the edges of a plan until all have ended, as a process of its own.
+/// Carries the edges of a plan until all have ended, in a separate process.
 pub(crate) fn run(
     bridge: &BridgePlan,
     run: BridgeRun<'_>,
@@ -41,7 +41,7 @@ pub(crate) fn run(
     carry(bridge, run, &transport, &peers, &context.stop, record, memory_trim)
 }
 
-/// Carries them by this shared memory until all have ended, or the run does; the record tells how far it is.
+/// Carries the edges over this shared memory until all have ended, or the run does; writes its progress to the record.
 fn carry(
     bridge: &BridgePlan,
     run: BridgeRun<'_>,
@@ -52,7 +52,7 @@ fn carry(
     memory_trim: MemoryTrim,
 ) -> Result<(), BridgeError> {
     let now = unix_ns();
-    // Nobody can come after the process of a stage that was started by itself.
+    // A stage that was started by itself has no successor.
     let kept_in = (run.run != NO_RUN).then_some(run.folder);
     let journal = Journal::open(kept_in, if run.run == NO_RUN { now } else { run.run }, now);
     let session = journal.session();
@@ -92,7 +92,7 @@ fn carry(
     result
 }
 
-/// Tells of hosts that have no address, which may take seconds to find out: nobody waits for it.
+/// Warns of hosts without an address, in a thread, because a look-up may take seconds.
 fn look_up(connect: &[String]) {
     let endpoints = connect.to_vec();
     std::thread::spawn(move || {
@@ -116,7 +116,7 @@ fn subscribe_to_heartbeats<'a>(shared: &Shared<'a>, bridge: &BridgePlan) -> Resu
     bridge.peers().into_iter().map(subscribe).collect()
 }
 
-/// The main thread: it starts the others, and watches.
+/// The main thread: it starts the others and watches them.
 struct Watch<'a> {
     reporter: BridgeReporter<'a>,
     sessions: &'a Sessions,
@@ -125,7 +125,7 @@ struct Watch<'a> {
     publisher: Publisher<'a>,
     subscribers: Vec<Subscriber<'a>>,
     sent: (Instant, News),
-    /// Counts seconds with a link.
+    /// One step per second with a link.
     memory_trim: MemoryTrim,
 }
 
@@ -146,7 +146,7 @@ impl<'a> Watch<'a> {
         })
     }
 
-    /// Sends heartbeats and reports until all edges have ended; one that fails ends the others.
+    /// Sends heartbeats and reports until all edges have ended; an edge that fails ends the others.
     fn watch(&mut self, mut handles: Vec<Handle<'_>>, stop: &Stop) -> Result<(), BridgeError> {
         let mut result = Ok(());
         while !handles.is_empty() {
@@ -185,8 +185,8 @@ impl<'a> Watch<'a> {
     }
 }
 
-/// Whether a heartbeat is to be sent now: somebody waits for an answer, there is something new, or the last one, sent then with
-/// that news, is too old to show that the link lives.
+/// Whether a heartbeat is to be sent now: a peer waits for an answer, there is news since the last one, or the last one is too
+/// old to show that the link is alive.
 fn is_heartbeat_due(owes_answer: bool, news: &News, (sent, last): &(Instant, News), now: Instant) -> bool {
     owes_answer || news != last || now.duration_since(*sent) > HEARTBEAT_PERIOD
 }
@@ -231,14 +231,15 @@ mod tests {
         folder.join("bridge.status")
     }
 
-    /// Where the shared memory of a machine is: not with the records, since it leaves nothing where it was.
+    /// The folder for a machine's shared memory, apart from the records, because shared memory empties its folder.
     fn in_memory(folder: &Path) -> PathBuf {
         let path = folder.join("memory");
         std::fs::create_dir_all(&path).unwrap();
         path
     }
 
-    /// Runs a bridge until it ends; where it is in its life then. Of `reader` it knows what its record tells, if there is one.
+    /// Runs a bridge until it ends; returns its last state. The record of `reader`, if there is one, tells it the state of that
+    /// stage.
     fn ended(plan: &BridgePlan, run: u64, folder: &Path, stop: &Stop) -> Option<Life> {
         let peers = Peers::in_folder(folder.to_owned(), run, ["reader".to_owned()].into());
         let transport = SharedMemory::open(&in_memory(folder), "test", BRIDGE, stop.clone()).unwrap();
@@ -247,7 +248,7 @@ mod tests {
         Status::read(&record(folder)).map(|status| status.life())
     }
 
-    /// The plans of `robot` and `base`, between which one edge leads.
+    /// The plans of `robot` and `base`, joined by one edge.
     fn plans() -> [BridgePlan; 2] {
         let (endpoint, settings) = (vec![loopback()], || Machine { insecure: true, ..Machine::default() });
         let plan = |machine: &str, settings| BridgePlan { machine: machine.into(), settings, ..BridgePlan::default() };
@@ -257,7 +258,7 @@ mod tests {
         [BridgePlan { outgoing: edge(BRIDGE), ..listening }, BridgePlan { incoming: edge("reader"), ..connecting }]
     }
 
-    /// Whether the link is told to be up.
+    /// Whether the link is reported to be up.
     fn is_up(folder: &Path) -> bool {
         let told = std::fs::read(folder.join("bridge.links")).unwrap_or_default();
         serde_json::from_slice::<Json>(&told).is_ok_and(|told| told["links"][0]["state"] == "up")
@@ -284,7 +285,7 @@ mod tests {
         assert!(next.has_heard("base") && next.finished().count() == 1, "{next:?}");
     }
 
-    /// How a bridge ends whose readers have all ended, and which nobody sends anything.
+    /// Returns the last state of a bridge whose readers have all ended, and to which no machine sends anything.
     fn ended_alone(stop: Stop) -> Option<Life> {
         let (folder, [_, base]) = (tempfile::tempdir().unwrap(), plans());
         let mut reader = StatusFile::open(&folder.path().join("reader.status"), RUN).unwrap();

@@ -1,4 +1,4 @@
-//! An edge that comes: checked, decoded, and written into shared memory as if its writer were on this machine.
+//! The receiving side of an edge: checks and decodes messages, and writes them into shared memory as if the writer were local.
 
 use crate::channel::Channel;
 use crate::error::BridgeError;
@@ -25,14 +25,14 @@ use std::time::{Duration, Instant};
 use zenoh::bytes::ZBytes;
 
 const IDLE_CHECK_PERIOD: Duration = Duration::from_millis(50);
-/// Messages that wait to be decoded, where none may be missed; what is refused comes again.
+/// Room for messages that wait to be decoded, on a lossless edge; messages that find no room are retransmitted.
 const LOSSLESS_ROOM: usize = 64;
-/// Where the newest wins, what was under way for longer is a backlog that nobody wants.
+/// With `latest`, messages that were under way for longer are a useless backlog and are dropped.
 const STALE: Duration = Duration::from_secs(1);
-/// Where datagrams come less often than this, the stream is listened to as well.
+/// If datagrams come less often than this, the bridge subscribes to the stream as well.
 const DATAGRAM_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// The thread of one edge that comes.
+/// The receiving thread of one edge.
 pub(super) struct Receiving<'a> {
     edge: &'a Edge,
     lossless: bool,
@@ -40,7 +40,7 @@ pub(super) struct Receiving<'a> {
     subscriber: Subscriber<'a>,
     output_port: OutputPort<SharedWriter>,
     sequence: Sequence,
-    /// How many an earlier process has counted as lost.
+    /// The number of messages that earlier processes counted as lost.
     lost_before: u64,
     /// By writer, the number that follows its last message of the stream.
     follow: BTreeMap<String, u64>,
@@ -48,9 +48,9 @@ pub(super) struct Receiving<'a> {
     codec: Box<dyn Codec>,
     layout: String,
     ended: BTreeSet<String>,
-    /// Whether all writers have ended, as a bridge before this one has acknowledged.
+    /// Whether an earlier bridge process has acknowledged the ends of all writers.
     is_end_known: bool,
-    /// For how long a machine may be away before what it was to send again is given up.
+    /// How long a machine may be away before its retransmissions are given up.
     outage: Duration,
     links: Arc<Links>,
     counts: Arc<EdgeCounts>,
@@ -80,7 +80,7 @@ impl<'a> Receiving<'a> {
         let subscriber = shared.sessions.subscriber(&zenoh_key, silence, move |bytes: ZBytes| {
             let bytes = bytes.to_bytes();
             if gate.admits(&bytes) {
-                // What finds no room comes again, or was not the newest.
+                // If the channel has no room, a lossless message is retransmitted, and otherwise only older messages are dropped.
                 sender.send(bytes.into_owned());
             }
         })?;
@@ -99,7 +99,7 @@ impl<'a> Receiving<'a> {
             codec: codec_of(&edge.item),
             layout: edge.item.layout(),
             is_end_known: known.len() == edge.writers.len(),
-            // Where none may be missed, what comes before the end may not have been passed on.
+            // The messages before the end may not have been passed on: a lossless edge has to receive them first.
             ended: if lossless { BTreeSet::new() } else { known.into_keys().collect() },
             outage: shared.outage,
             links: Arc::clone(shared.links),
@@ -111,7 +111,7 @@ impl<'a> Receiving<'a> {
         })
     }
 
-    /// Carries messages until all writers have ended, or the run does, and stays until the other machine knows it.
+    /// Carries messages until all writers or the run have ended, and stays until the other machine knows it.
     pub(super) fn run(mut self) -> Result<(), BridgeError> {
         let (from, topic) = (&self.edge.from, &self.edge.topic.name);
         let (is_finished, _) = self.links.is_finished(from, topic);
@@ -121,7 +121,7 @@ impl<'a> Receiving<'a> {
         Ok(())
     }
 
-    /// Carries messages until all writers have ended, or all readers, or the run does; whether nothing more is wanted of the other
+    /// Carries messages until all writers, all readers or the run have ended. Returns whether nothing more is wanted of the other
     /// machine.
     pub(super) fn carry(&mut self) -> Result<bool, BridgeError> {
         let (began, mut looked, mut unread) = (Instant::now(), Instant::now(), Unread::default());
@@ -146,7 +146,8 @@ impl<'a> Receiving<'a> {
                 result => result?,
             }
         }
-        // Of what was given up, or came to a bridge before this one, nobody else tells how much it was.
+        // Messages may have been given up, or have come to an earlier bridge process: only the noted ends say how many there
+        // were.
         for (writer, count) in self.links.ends(&self.edge.from, &self.edge.topic.name) {
             self.output_port.note_count(Text::new(&writer), count);
         }
@@ -161,22 +162,22 @@ impl<'a> Receiving<'a> {
         Ok(self.ended.len() == self.edge.writers.len() || self.nobody_reads())
     }
 
-    /// Whether all readers here have ended: a process before this one may have told them the end. A reader that is started anew
-    /// whenever it ends is here again in a moment.
+    /// Whether all readers here have ended: an earlier process may have announced the end to them. A reader that is restarted
+    /// whenever it ends comes back in a moment.
     fn nobody_reads(&self) -> bool {
         let has_ended = |stage: &str| self.peers.life(stage) == Some(Life::Ended);
         self.edge.topic.readers.iter().all(|reader| has_ended(&reader.stage))
     }
 
-    /// Whether nothing is left to wait for, since this process began: the end was acknowledged, and whoever was to send again what
-    /// came before it is gone.
+    /// Whether retransmissions will not come any more: the end was acknowledged before this process began, and the other machine
+    /// has been silent since for longer than the allowed outage.
     fn is_rest_lost(&self, began: Instant) -> bool {
         self.is_end_known && self.links.silence(&self.edge.from, began) > self.outage
     }
 
-    /// Tells the other machine that nothing more is wanted of it. Where none may be missed it stays until that knows: the
-    /// bridge there may be started anew, and has to hear it then. It may have left, too, while a bridge was started anew here:
-    /// then this one has waited for it until now.
+    /// Tells the other machine that nothing more is wanted of it. On a lossless edge it stays until the other machine knows: the
+    /// bridge there may be restarted and has to hear it then. It stops waiting when the other machine is silent, which may have
+    /// left while a bridge was restarted here.
     fn stay(&self) {
         let (from, topic) = (&self.edge.from, &self.edge.topic.name);
         let began = Instant::now();
@@ -191,7 +192,7 @@ impl<'a> Receiving<'a> {
         }
     }
 
-    /// Sees to it that messages come, and says once by which way.
+    /// Subscribes to the stream where datagrams are too rare, and logs each path once.
     fn choose_way(&mut self) -> Result<(), BridgeError> {
         if let Some(way) = self.subscriber.choose()?.filter(|way| self.told.insert(way)) {
             let (topic, from) = (&self.edge.topic.name, &self.edge.from);
@@ -200,13 +201,13 @@ impl<'a> Receiving<'a> {
         Ok(())
     }
 
-    /// Checks a message, and passes it on if it is the next.
+    /// Checks a message, and passes it on if it is the next one.
     pub(super) fn accept(&mut self, bytes: &[u8]) -> Result<(), PortError> {
         let (position, header) = match self.decode(bytes) {
             Ok(message) => message,
             Err(error) => {
                 self.refusals.leave_out(&error);
-                // Of another stream only what can be read tells.
+                // Only readable messages may begin another stream.
                 let position = position_of(bytes).ok().filter(|position| self.sequence.is_of_stream(*position));
                 position.into_iter().for_each(|position| self.pass_over(position, bytes));
                 return Ok(());
@@ -228,7 +229,7 @@ impl<'a> Receiving<'a> {
         self.counts.lost.store(self.lost_before.saturating_add(self.sequence.lost()), Ordering::Relaxed);
         if verdict == Verdict::Take {
             match self.pass_on(header, bytes.len()) {
-                // It comes again where it must not be missed; there may be room by then.
+                // A lossless message is retransmitted; there may be room by then.
                 Err(error @ PortError::NoRoom { .. }) => {
                     self.refusals.leave_out(&error);
                     if self.lossless {
@@ -248,7 +249,7 @@ impl<'a> Receiving<'a> {
         Ok(())
     }
 
-    /// Reads a message; its items stay with the codec.
+    /// Decodes a message; its items stay in the codec.
     fn decode(&mut self, bytes: &[u8]) -> Result<(StreamPosition, Header), WireError> {
         let (position, header, body) = open_message(bytes, &self.layout, self.edge.item.name())?;
         if let Some(body) = body {
@@ -275,7 +276,8 @@ impl<'a> Receiving<'a> {
         Ok(())
     }
 
-    /// Tells what has come, and what of that the readers here have finished: the rest is gone if this process is killed.
+    /// Records for the next heartbeat what has come, and what of it the readers here have finished: unfinished messages are lost
+    /// if this process is killed.
     fn acknowledge(&mut self) {
         let (stream, next) = self.sequence.expected();
         let finished = self.passed_on.finished(self.output_port.unfinished(), (stream, next));
@@ -284,7 +286,7 @@ impl<'a> Receiving<'a> {
         self.links.received(Ack { from, topic, stream, next, finished, ended });
     }
 
-    /// What will never make sense would be sent again for ever, and nothing after it.
+    /// Skips an undecodable message: otherwise it would be retransmitted for ever and block all later ones.
     fn pass_over(&mut self, position: StreamPosition, bytes: &[u8]) {
         let position = StreamPosition { oldest: position.oldest.min(position.number), ..position };
         let claim = Claim { position, session: session_of(bytes), may_be_repeated: true, ..Claim::default() };
@@ -295,7 +297,7 @@ impl<'a> Receiving<'a> {
         self.acknowledge();
     }
 
-    /// Whether a message is to be taken; tells what turns out to have been forged.
+    /// Decides whether a message is to be taken; reports messages that turn out to be forged.
     fn judge(&mut self, claim: Claim) -> Verdict {
         let (stream, _) = self.sequence.expected();
         let verdict = self.sequence.judge(claim, Instant::now());
@@ -312,21 +314,21 @@ impl<'a> Receiving<'a> {
     }
 }
 
-/// Since when no reader of an edge was at work, one look after another.
+/// Since when all readers of an edge have been absent.
 #[derive(Debug, Default)]
 struct Unread(Option<Instant>);
 
 impl Unread {
-    /// Whether nobody reads any more, and nobody has for so long that a reader which was killed would be back.
+    /// Whether all readers are absent, and have been for so long that a killed one would be back.
     fn is_for_good(&mut self, nobody_reads: bool, now: Instant) -> bool {
         self.0 = nobody_reads.then(|| self.0.unwrap_or(now));
         self.0.is_some_and(|since| now.saturating_duration_since(since) > END_PATIENCE)
     }
 }
 
-/// Turns the times of the trace into times of this machine's clock, which reads `now_ns`; the clock of the machine that it comes
-/// from is ahead by `offset_ns`. Tells how long the message was under way. Before the clocks have been compared, which takes a
-/// heartbeat whose times can be, it counts as sent just now; never as sent later than it came.
+/// Converts the times of the trace to this machine's clock, which reads `now_ns`; the other machine's clock is ahead by
+/// `offset_ns`. Returns how long the message was under way. While the offset is unknown (it takes a usable heartbeat), the
+/// message counts as sent just now. No time lies after `now_ns`.
 fn to_own_clock(header: &mut Header, offset_ns: Option<i64>, now_ns: u64) -> Duration {
     let sent_ns = header.sent_ns();
     let offset_ns = offset_ns.map_or(i128::from(sent_ns) - i128::from(now_ns), i128::from);
@@ -338,8 +340,8 @@ fn to_own_clock(header: &mut Header, offset_ns: Option<i64>, now_ns: u64) -> Dur
     Duration::from_nanos(now_ns - own(sent_ns))
 }
 
-/// What lets messages in that come under the Zenoh key of an edge. It stands before the [`Channel`], so that what is refused
-/// takes no room there from what is not.
+/// Admits the messages that come under the Zenoh key of an edge. It stands before the [`Channel`], so that refused messages take
+/// no room there.
 struct Gate {
     zenoh_key: String,
     from: String,
@@ -348,8 +350,8 @@ struct Gate {
 }
 
 impl Gate {
-    /// Whether a message was made by the bridge of the other machine that runs now. What comes before that has proved to be the
-    /// present one is not counted: it is not wanted yet, or comes again.
+    /// Whether a message was made by the present session of the other machine's bridge. Messages of a session that has not proved
+    /// itself yet are dropped without being counted: they come again, or are not wanted yet.
     fn admits(&self, bytes: &[u8]) -> bool {
         let opened = self.links.seal().open(&self.zenoh_key, bytes);
         let present = opened.map(|session| self.links.is_present(&self.from, session));
@@ -362,12 +364,12 @@ impl Gate {
     }
 }
 
-/// Counts what was refused of an edge, and tells of it now and then.
+/// Counts the refused messages of an edge, and logs them now and then.
 struct Refusals {
     topic: String,
     from: String,
     left_out: LeftOut,
-    /// Told apart: of a flood of what makes no sense there is always something to tell.
+    /// Counted separately: otherwise a flood of undecodable messages would suppress the reports of forged ones.
     forged: LeftOut,
 }
 
@@ -410,8 +412,8 @@ mod tests {
         Edge { from: from.to_owned(), ..edge_tests::edge(Delivery::Latest, BRIDGE) }
     }
 
-    /// The hops of a message that two stages have sent, `[received_ns, sent_ns]` by this machine's clock, which reads 1000, and
-    /// how long it was under way.
+    /// Returns the hops `[received_ns, sent_ns]` of a message that two stages have sent, by this machine's clock, which reads
+    /// 1000, and how long it was under way.
     fn own_times(offset_ns: Option<i64>, hops: [[u64; 2]; 2]) -> ([[u64; 2]; 2], u64) {
         let mut header = Header::default();
         for [received_ns, sent_ns] in hops {

@@ -1,4 +1,5 @@
-//! An edge that leaves: out of shared memory, encoded, put to Zenoh, and kept until it is acknowledged where that is asked.
+//! The sending side of an edge: reads messages from shared memory, encodes them, puts them to Zenoh, and keeps them until they
+//! are acknowledged on a lossless edge.
 
 use crate::error::BridgeError;
 use crate::peer::counts::{EdgeCounts, LeftOut};
@@ -20,24 +21,24 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 use zenoh::qos::Priority;
 
-/// An edge that nobody wakes looks around this often.
+/// How often an idle edge checks acknowledgements and ends.
 const IDLE_CHECK_PERIOD: Duration = Duration::from_millis(20);
-/// Where the newest wins, messages wait on a full link for so long at most; images, waiting for less, give way to lists.
+/// With `latest`, the longest wait of messages on a full link; images wait less and so yield to lists.
 const LISTS_WAIT: Duration = Duration::from_millis(100);
 const IMAGES_WAIT: Duration = Duration::from_millis(40);
-/// A full queue looks for acknowledgements this often.
+/// How often a full queue checks for acknowledgements.
 const FULL_CHECK_PERIOD: Duration = Duration::from_millis(2);
 
-/// What the threads of a bridge share.
+/// The state that the threads of a bridge share.
 pub(super) struct Shared<'a> {
     pub sessions: &'a Sessions,
     pub transport: &'a SharedMemory,
     pub links: &'a Arc<Links>,
     pub pipeline: &'a str,
     pub machine: &'a str,
-    /// One number per start of the bridge.
+    /// Number of this start of the bridge.
     pub session: u64,
-    /// Where the log of what is not acknowledged lies, if anybody can come after this process.
+    /// The folder for the log of unacknowledged messages, if another process may replace this one.
     pub log_folder: Option<&'a Path>,
     pub outage: Duration,
     pub peers: &'a Peers,
@@ -45,13 +46,13 @@ pub(super) struct Shared<'a> {
 }
 
 impl Shared<'_> {
-    /// The key of what a machine writes into a topic.
+    /// The Zenoh key of a topic that machine `from` writes.
     pub(super) fn key(&self, from: &str, topic: &str) -> String {
         format!("conicflow/{}/{from}/{topic}", self.pipeline)
     }
 }
 
-/// The thread of one edge that leaves.
+/// The sending thread of one edge.
 pub(super) struct Sending<'a> {
     edge: &'a Edge,
     input_port: InputPort<SharedReader>,
@@ -80,7 +81,7 @@ impl<'a> Sending<'a> {
         let publisher = shared.sessions.publisher(&zenoh_key, lossy && edge.item.is_short(), priority)?;
         let mut input_port = InputPort::new(reader, topic.delivery_to(BRIDGE), &topic.name, topic.writers.len());
         input_port.go_on();
-        // Where none may be missed it is the reader that knows how far an earlier process came.
+        // On a lossless edge the reader knows how far an earlier process came.
         input_port.resume(*counts.input());
         let log =
             shared.log_folder.map(|folder| SendLog::in_folder(folder.to_owned(), &topic.name)).unwrap_or_default();
@@ -100,7 +101,7 @@ impl<'a> Sending<'a> {
         })
     }
 
-    /// Carries messages until all writers have ended and everybody has what they must have.
+    /// Carries messages until all writers have ended and all receivers have what they must have.
     pub(super) fn run(mut self) -> Result<(), BridgeError> {
         while !self.stop.forced() && !self.is_done() {
             self.settle();
@@ -109,7 +110,7 @@ impl<'a> Sending<'a> {
                 continue;
             }
             let forwarded = self.forward_next()? || self.forward_ends()?;
-            // What is to be acknowledged by other machines is in the log by now, whence the next process of this bridge takes it.
+            // Messages that other machines have to acknowledge are in the log now, where the next bridge process finds them.
             self.input_port.acknowledge();
             if !forwarded {
                 self.input_port.wait(IDLE_CHECK_PERIOD)?;
@@ -130,12 +131,12 @@ impl<'a> Sending<'a> {
         self.queue.may_send(Instant::now(), |machine| self.links.round_trip(machine))
     }
 
-    /// Whether anybody is there: a machine of the pipeline, or another program that has subscribed.
+    /// Whether there is a receiver: a machine of the pipeline, or another program that has subscribed.
     fn is_wanted(&self) -> bool {
         self.queue.is_wanted(|machine| self.links.is_connected(machine)) || self.publisher.is_heard()
     }
 
-    /// Learns what has arrived, and sends again what has not.
+    /// Updates the queue with acknowledgements, and retransmits what is due.
     fn settle(&mut self) {
         let now = Instant::now();
         for machine in self.queue.machines() {
@@ -161,13 +162,13 @@ impl<'a> Sending<'a> {
         self.counts.lost.store(self.queue.lost(), Ordering::Relaxed);
     }
 
-    /// Sends the next message, if there is one and anybody to send it to. What came from another machine does not go out
-    /// again.
+    /// Sends the next message, if there is one and a receiver for it. Messages that came from another machine are not sent again.
+    /// Returns whether there was a message.
     fn forward_next(&mut self) -> Result<bool, BridgeError> {
         let taken = self.input_port.take()?;
         let is_lossless = self.edge.topic.delivery_to(BRIDGE) == Delivery::Lossless;
         let counts = self.input_port.counts();
-        // What makes no sense is left out there, and told. Where none may be missed nothing else is.
+        // The reader drops and reports malformed messages. On a lossless edge nothing else is dropped.
         let all_sent = || InputCounts { topic: counts.topic, malformed: counts.malformed, ..InputCounts::default() };
         *self.counts.input() = if is_lossless { all_sent() } else { counts };
         let Some(message) = taken else { return Ok(false) };
@@ -192,7 +193,7 @@ impl<'a> Sending<'a> {
         Ok(true)
     }
 
-    /// Puts a message onto the link, with the session and the code that it gets there.
+    /// Puts a message onto the link, with the session and the code of this process.
     fn put(&mut self, mut bytes: Vec<u8>) {
         self.links.seal().close(&self.zenoh_key, &mut bytes);
         self.publisher.put(bytes);
@@ -206,7 +207,7 @@ impl<'a> Sending<'a> {
         self.counts.age_ns.store(age, Ordering::Relaxed);
     }
 
-    /// Passes on that writers have ended, or are gone; true where one of those had sent a message before it was gone.
+    /// Sends the ends of writers that have ended or are gone; returns true if a writer that is gone had sent a message before.
     fn forward_ends(&mut self) -> Result<bool, BridgeError> {
         let gone: Vec<_> = self.edge.writers.iter().filter(|writer| self.is_gone(writer)).cloned().collect();
         if !gone.is_empty() && self.forward_next()? {
@@ -224,7 +225,7 @@ impl<'a> Sending<'a> {
         Ok(false)
     }
 
-    /// Whether a writer is over, without having said so to this process: an earlier one may have heard it.
+    /// Whether a writer is over without having announced it to this process: an earlier process may have heard it.
     fn is_gone(&self, writer: &str) -> bool {
         !self.ended.contains(writer) && self.peers.is_over(writer)
     }
@@ -236,7 +237,7 @@ impl<'a> Sending<'a> {
     }
 }
 
-/// Makes the bytes of an edge's messages.
+/// Encodes the messages of an edge.
 struct Encoder<'a> {
     edge: &'a Edge,
     codec: Box<dyn Codec>,
@@ -250,7 +251,7 @@ impl<'a> Encoder<'a> {
         Self { edge, codec, layout, left_out: LeftOut::new(counts) }
     }
 
-    /// A message with these items, as they lie in memory. One that makes no sense is left out.
+    /// Encodes a message; `items` are its items as in memory. A malformed message is counted and dropped.
     fn message(&self, position: StreamPosition, header: &Header, items: &[u8]) -> Option<Vec<u8>> {
         let body = |bytes: &mut Vec<u8>| self.codec.encode(header, items, self.edge.compression, bytes);
         let encoded = message_bytes(position, &self.layout, header, body);
@@ -261,13 +262,13 @@ impl<'a> Encoder<'a> {
         encoded.inspect_err(leave_out).ok()
     }
 
-    /// The end of a writer's stream.
+    /// Encodes the end of a writer's stream.
     fn end(&self, position: StreamPosition, header: &Header) -> Result<Vec<u8>, WireError> {
         message_bytes(position, &self.layout, header, |_| Ok(()))
     }
 }
 
-/// What is told of messages that were lost to machines that want all of them, if there are any.
+/// The report of messages that lossless receivers did not get, if there are any.
 fn loss(lost: u64, topic: &str) -> Option<String> {
     let told = || format!("{lost} messages of the lossless topic `{topic}` did not reach all machines that read it");
     (lost > 0).then(told)

@@ -1,11 +1,11 @@
-//! The Zenoh sessions of a machine: one over streams for everything, and where the file names endpoints for datagrams another
-//! over these, for short messages of which the newest wins.
+//! The Zenoh sessions of a machine: one over streams for everything and, if the file names endpoints for datagrams, another over
+//! those, for short messages with `latest`.
 //!
-//! A stream on a radio that loses packets holds back all that follows a loss until it was sent again; a datagram that is lost
-//! is lost, and the next comes in time. Nothing tells a peer that datagrams do not reach it, and Zenoh's own declarations may
-//! be among those that are lost: so a message goes by both sessions while the receiver listens to both, and it listens to the
-//! stream as long as no datagrams come. Where none come the receiver subscribes to them anew, and nothing in that relies on
-//! an earlier declaration, which may be lost ([`key_for_datagrams`]).
+//! A stream over a lossy radio holds back everything after a lost packet until that was retransmitted; a lost datagram delays
+//! nothing. Nothing tells a peer that datagrams do not reach it, and Zenoh's own declarations may be lost, too. So a sender
+//! publishes a message in both sessions while the receiver subscribes to both, and the receiver stays subscribed to the stream
+//! until datagrams come. While none come, it renews its subscription, in a way that does not rely on an earlier declaration,
+//! which may be lost ([`key_for_datagrams`]).
 
 use crate::error::BridgeError;
 use crate::settings;
@@ -17,9 +17,9 @@ use zenoh::bytes::ZBytes;
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::{Session, Wait, pubsub};
 
-/// A session that cannot be opened, because nobody is there yet, is tried again after this time.
+/// A session that cannot be opened, because no peer is there yet, is retried after this time.
 const OPEN_AGAIN: Duration = Duration::from_secs(1);
-/// Where no datagrams come, they are asked for again after so long.
+/// While no datagrams come, the subscription is renewed after this time.
 const ASK_AGAIN: Duration = Duration::from_secs(5);
 
 /// The open sessions of a machine.
@@ -28,12 +28,13 @@ pub(super) struct Sessions {
     datagrams: Arc<OnceLock<Session>>,
 }
 
-/// What is done with what comes.
+/// The callback for received messages.
 type Take = Arc<dyn Fn(ZBytes) + Send + Sync>;
 
 impl Sessions {
-    /// Opens the sessions, as soon as that works; nothing if the run is made to end at once before. One that ends in order may have
-    /// to be told of on the other machines, also by a bridge that is only just starting. `failed` is called after each attempt.
+    /// Opens the sessions, retrying until that works. Returns `None` if the run is forced to end first. A run that ends in order
+    /// goes on trying: even a bridge that is only starting may have to tell the other machines. `failed` is called after each
+    /// attempt.
     pub(super) fn open(machine: &Machine, stop: &Stop, mut failed: impl FnMut()) -> Result<Option<Self>, BridgeError> {
         let (streams, datagrams) = settings::configurations(machine)?;
         let mut told = false;
@@ -58,8 +59,8 @@ impl Sessions {
         Ok(None)
     }
 
-    /// A peer has a session even where nobody is there, unless its endpoints are taken; a client has one when its router
-    /// answers. The stream carries everything meanwhile.
+    /// Opens the session for datagrams, in a thread if that does not work at once: the endpoints of a peer may be taken, and a
+    /// client needs an answer of its router. The stream carries everything meanwhile.
     fn open_datagrams(&self, config: &zenoh::Config, stop: &Stop) {
         if !settings::is_client(config) {
             match zenoh::open(config.clone()).wait() {
@@ -81,19 +82,19 @@ impl Sessions {
         });
     }
 
-    /// Whether there is a link to any other machine, or to a router.
+    /// Whether there is a link to any other machine or router.
     pub(super) fn reach_anybody(&self) -> bool {
         [Some(&self.streams), self.datagrams.get()].into_iter().flatten().any(reaches_anybody)
     }
 
-    /// Makes a key ready to be written, also by datagrams if messages are `short`.
+    /// Declares a key for publishing, also over datagrams if messages are `short`.
     pub(super) fn publisher(&self, key: &str, short: bool, priority: Priority) -> Result<Publisher<'_>, BridgeError> {
         let stream = declare(&self.streams, key, priority)?;
         Ok(Publisher { sessions: self, key: key.to_owned(), short, priority, stream, datagrams: None })
     }
 
-    /// Listens to a key; if there is a longest `silence` between datagrams, to these alone as long as they come. `take` is
-    /// called by threads of Zenoh, which must not wait.
+    /// Subscribes to a key. With a longest `silence` between datagrams, only datagrams are used as long as they come. Threads of
+    /// Zenoh call `take`, which must not block.
     pub(super) fn subscriber(
         &self,
         key: &str,
@@ -109,39 +110,39 @@ impl Sessions {
     }
 }
 
-/// Whether a session has a link to a router, or to anybody else.
+/// Whether a session has a link to a router or a peer.
 pub(crate) fn reaches_anybody(session: &Session) -> bool {
     let info = session.info();
     info.routers_zid().wait().chain(info.peers_zid().wait()).next().is_some()
 }
 
-/// What Zenoh says, without the places in its source.
+/// An error of Zenoh without the places in its source.
 fn in_short(error: &dyn std::error::Error) -> String {
     let text = error.to_string();
     text.split(" at /").next().unwrap_or_default().to_owned()
 }
 
-/// A key that is written.
+/// The publisher of a key.
 pub(super) struct Publisher<'a> {
     sessions: &'a Sessions,
     key: String,
     short: bool,
     priority: Priority,
     stream: pubsub::Publisher<'static>,
-    /// That for datagrams, and when it was declared.
+    /// The publisher over datagrams, and when it was declared.
     datagrams: Option<(pubsub::Publisher<'static>, Instant)>,
 }
 
 impl Publisher<'_> {
-    /// Puts a message into each session in which somebody listens; whether it arrives has to be learnt otherwise.
+    /// Publishes a message in each session. It does not report whether the message arrives.
     pub(super) fn put(&mut self, bytes: Vec<u8>) {
         self.ask_who_listens();
         let bytes = ZBytes::from(bytes);
         self.publishers().for_each(|publisher| drop(publisher.put(bytes.clone()).wait()));
     }
 
-    /// Declares the key to the session for datagrams, if there is one for it; anew where nobody answered: Zenoh asks who
-    /// listens but once, and that may have been lost.
+    /// Declares the key to the session for datagrams, if there is one. Repeats that while no subscriber is known: Zenoh asks for
+    /// subscribers only once, and the question may be lost.
     fn ask_who_listens(&mut self) {
         let Some(session) = self.sessions.datagrams.get().filter(|_| self.short) else { return };
         let has_answer = |(publisher, asked): &(_, Instant)| asked.elapsed() < ASK_AGAIN || is_heard(publisher);
@@ -156,7 +157,7 @@ impl Publisher<'_> {
         std::iter::once(&self.stream).chain(self.datagrams.as_ref().map(|(publisher, _)| publisher))
     }
 
-    /// Whether anybody listens.
+    /// Whether there is a subscriber.
     pub(super) fn is_heard(&self) -> bool {
         self.publishers().any(is_heard)
     }
@@ -168,9 +169,9 @@ fn declare(session: &Session, key: &str, priority: Priority) -> Result<pubsub::P
     publisher.wait().map_err(|error| BridgeError::zenoh("cannot declare a key to Zenoh", error))
 }
 
-/// The expression by which a key is listened to over datagrams. To a peer Zenoh says a key but once, and from then on, in
-/// subscriptions too, a number that stands for it; where that first word was lost, no later subscription is understood. What
-/// begins with a wildcard gets no number: each subscription says it in full.
+/// The key expression for subscribing over datagrams. Zenoh declares a key to a peer only once and uses a number for it
+/// afterwards, in subscriptions too; if the declaration was lost, the peer understands no later subscription. An expression that
+/// begins with a wildcard gets no number: each subscription contains it in full.
 fn key_for_datagrams(key: &str) -> String {
     let after_first_part = key.split_once('/').map_or(key, |(_, rest)| rest);
     format!("*/{after_first_part}")
@@ -185,18 +186,18 @@ fn subscribe(session: &Session, key: String, take: Take) -> Result<pubsub::Subsc
     declared.map_err(|error| BridgeError::zenoh("cannot subscribe to a key of Zenoh", error))
 }
 
-/// A key that is listened to.
+/// The subscriber of a key.
 pub(super) struct Subscriber<'a> {
     sessions: &'a Sessions,
     key: String,
     take: Take,
-    /// The longest between datagrams, if they are listened to.
+    /// The longest time between datagrams, if they are used.
     silence: Option<Duration>,
     stream: Option<pubsub::Subscriber<()>>,
     datagrams: Option<Datagrams>,
 }
 
-/// Its part for datagrams.
+/// The part of a subscriber for datagrams.
 struct Datagrams {
     silence: Duration,
     asked: Instant,
@@ -216,7 +217,7 @@ impl Subscriber<'_> {
         subscribe(&self.sessions.streams, self.key.clone(), Arc::clone(&self.take))
     }
 
-    /// Subscribes to datagrams, where they are listened to and there is a session for them.
+    /// Subscribes to datagrams, if they are used and their session is open.
     fn ask_for_datagrams(&mut self) -> Result<(), BridgeError> {
         let (Some(session), Some(silence)) = (self.sessions.datagrams.get(), self.silence) else { return Ok(()) };
         let (take, came) = (Arc::clone(&self.take), Arc::<Mutex<Option<Instant>>>::default());
@@ -230,7 +231,7 @@ impl Subscriber<'_> {
         Ok(())
     }
 
-    /// Chooses the session anew; to be called now and then. What it is over, if that has changed.
+    /// Selects the session, and has to be called now and then. Returns the name of the new one if it has changed.
     pub(super) fn choose(&mut self) -> Result<Option<&'static str>, BridgeError> {
         let Some(datagrams) = &self.datagrams else {
             return self.ask_for_datagrams().map(|()| None);
@@ -261,7 +262,7 @@ pub(crate) mod tests {
     const KEY: &str = "conicflow/test/robot/objects";
     const PART_OF_KEY: &[u8] = b"robot/objects";
 
-    /// Two machines that are joined by a stream and by datagrams, which `between` takes from one address to the other.
+    /// Two machines joined by a stream and by datagrams; `between` maps the address of the datagrams to that of a proxy.
     pub fn joined(between: fn(SocketAddr) -> SocketAddr) -> [Sessions; 2] {
         let (stream, datagrams) = (loopback(), loopback()["tcp/".len()..].parse::<SocketAddr>().unwrap());
         let endpoints = |datagrams| vec![stream.clone(), format!("udp/{datagrams}")];
@@ -270,7 +271,7 @@ pub(crate) mod tests {
         [listening, connecting].map(|machine| Sessions::open(&machine, &Stop::default(), || ()).unwrap().unwrap())
     }
 
-    /// A way to an address on which the first datagram with a part of the key in it is lost.
+    /// Starts a proxy to an address that loses the first datagram with a part of the key in it.
     fn losing_the_first_with_the_key(address: SocketAddr) -> SocketAddr {
         let (front, back) = (UdpSocket::bind("127.0.0.1:0").unwrap(), UdpSocket::bind("127.0.0.1:0").unwrap());
         let way = front.local_addr().unwrap();

@@ -1,4 +1,4 @@
-//! From a machine's table to a Zenoh configuration that is closed unless the file opens it.
+//! Builds the Zenoh configuration of a machine from its table. The configuration is closed unless the file opens it.
 
 use crate::certificates;
 use crate::wire::MAX_MESSAGE;
@@ -8,20 +8,20 @@ use rustls::pki_types::UnixTime;
 use serde_json::{Value as Json, json};
 use std::path::Path;
 
-/// A link is given up when it was silent for so long; until then it comes back by itself.
+/// A link is given up after this silence; until then it recovers by itself.
 const LEASE_MS: u64 = 2000;
-/// A frame on a slow link may take so long, in microseconds, before Zenoh drops it.
+/// How long a frame may wait on a slow link, in microseconds, before Zenoh drops it.
 const MAX_FRAME_WAIT_US: u64 = 1_000_000;
 /// Largest message of ROS 2, in bytes: a point cloud of 1280x720 has 30 million.
 const MAX_CLOUD: usize = 64 << 20;
 
-/// Whether a machine's table can be used; a file that is not there is reported elsewhere.
+/// Checks that a machine's table can be used; a missing file is reported elsewhere.
 pub(crate) fn check(machine: &Machine) -> Result<(), Hinted> {
     machine.key.as_ref().filter(|file| file.is_file()).map_or(Ok(()), |file| LinkKey::read(file).map(drop))?;
     if is_missing(machine) { Ok(()) } else { configurations(machine).map(drop) }
 }
 
-/// What may keep a machine from its links, although its table can be used: its certificates, by what the clock says today.
+/// Returns reasons why a machine with a valid table may get no links: faults of its certificates at the present time.
 pub(crate) fn warnings(machine: &Machine) -> Vec<Hinted> {
     let settings = if is_missing(machine) { Ok(Json::Null) } else { settings(machine) };
     settings.map(|settings| certificates::warnings(tls(&settings), UnixTime::now())).unwrap_or_default()
@@ -35,8 +35,8 @@ fn tls(settings: &Json) -> &Json {
     &settings["transport"]["link"]["tls"]
 }
 
-/// The secret by which a machine tells the messages of the others: that of its table; else this user's own, where all endpoints
-/// are on this host, and neither certificates nor `insecure` say otherwise; else none.
+/// Returns the secret that authenticates messages between machines: the key in the machine's table; else this user's own key, if
+/// all endpoints are on this host and neither certificates nor `insecure` are set; else none.
 pub(super) fn key(machine: &Machine) -> Result<Option<LinkKey>, Hinted> {
     if let Some(file) = &machine.key {
         return LinkKey::read(file).map(Some);
@@ -44,7 +44,7 @@ pub(super) fn key(machine: &Machine) -> Result<Option<LinkKey>, Hinted> {
     if is_of_one_user(machine, &settings(machine)?) { LinkKey::of_user().map(Some) } else { Ok(None) }
 }
 
-/// Whether all the machines that this one meets are this host, by the endpoints, so that they can share its user's key.
+/// Whether all endpoints of a machine are on this host, so that the machines can share the key of its user.
 fn is_of_one_user(machine: &Machine, settings: &Json) -> bool {
     let mut endpoints = Vec::new();
     ["listen", "connect"].iter().for_each(|way| collect_strings(&settings[way]["endpoints"], &mut endpoints));
@@ -57,14 +57,14 @@ fn asks_who(settings: &Json) -> bool {
     tls(settings)["enable_mtls"] == true
 }
 
-/// Where a machine listens.
+/// The endpoints that a machine listens on.
 pub(crate) fn listen_endpoints(machine: &Machine) -> Result<Vec<String>, Hinted> {
     let mut endpoints = Vec::new();
     collect_strings(&settings(machine)?["listen"]["endpoints"], &mut endpoints);
     Ok(endpoints)
 }
 
-/// The Zenoh configurations of a machine's sessions: of the one that carries everything, and, where endpoints of both sorts
+/// Returns the Zenoh configurations of a machine's sessions: of the one that carries everything and, if endpoints of both kinds
 /// are named, of one for datagrams.
 pub(super) fn configurations(machine: &Machine) -> Result<(zenoh::Config, Option<zenoh::Config>), Hinted> {
     let settings = settings(machine)?;
@@ -86,7 +86,7 @@ pub(super) fn configurations(machine: &Machine) -> Result<(zenoh::Config, Option
     Ok((only(|endpoint| !carries_datagrams(endpoint))?, Some(only(carries_datagrams)?)))
 }
 
-/// The Zenoh configuration of a client of one of these routers. What comes may be as large as an organised point cloud.
+/// The Zenoh configuration of a client of these routers. A message may be as large as an organised point cloud.
 pub(super) fn client(connect: &[String]) -> Result<zenoh::Config, Hinted> {
     connect.iter().try_for_each(|endpoint| check_endpoint(endpoint))?;
     let mut settings = settings(&Machine { connect: connect.to_vec(), ..Machine::default() })?;
@@ -101,12 +101,12 @@ fn configuration(settings: &Json) -> Result<zenoh::Config, Hinted> {
     })
 }
 
-/// Whether a session has one link alone, to a router, and none without it.
+/// Whether a session is a client: it has a single link, to a router.
 pub(super) fn is_client(config: &zenoh::Config) -> bool {
     config.get_json("mode").is_ok_and(|mode| mode == "\"client\"")
 }
 
-/// Whether what goes through an endpoint may be lost, and then holds up nothing.
+/// Whether an endpoint is unreliable: lost messages do not delay later ones.
 fn carries_datagrams(endpoint: &str) -> bool {
     let metadata = endpoint.split('#').next().and_then(|locator| locator.split_once('?')).map_or("", |(_, text)| text);
     match metadata.split(';').find_map(|entry| entry.strip_prefix("rel=")) {
@@ -159,7 +159,7 @@ fn read_file(path: &Path) -> Result<Json, Hinted> {
     Ok(settings)
 }
 
-/// Overrides what `more` says; the rest of `settings` stays.
+/// Overrides the settings that `more` names; the rest stays.
 fn merge(settings: &mut Json, more: Json) {
     match (settings, more) {
         (Json::Object(settings), Json::Object(more)) => {
@@ -169,7 +169,7 @@ fn merge(settings: &mut Json, more: Json) {
     }
 }
 
-/// All strings in a value: endpoints stand in a list, or in one list per mode.
+/// Collects all strings in a value: endpoints are a list, or one list per mode.
 fn collect_strings(value: &Json, strings: &mut Vec<String>) {
     match value {
         Json::String(text) => strings.push(text.clone()),
@@ -179,7 +179,7 @@ fn collect_strings(value: &Json, strings: &mut Vec<String>) {
     }
 }
 
-/// Leaves out the strings that are not wanted, wherever they stand in a value.
+/// Removes the unwanted strings anywhere in a value.
 fn retain_strings(value: &mut Json, wanted: fn(&str) -> bool) {
     match value {
         Json::Array(values) => {
@@ -191,7 +191,7 @@ fn retain_strings(value: &mut Json, wanted: fn(&str) -> bool) {
     }
 }
 
-/// Whether nobody but this host's users can reach it.
+/// Whether only users of this host can reach it.
 fn is_local(endpoint: &str) -> bool {
     let loopbacks = ["127.", "[::1]", "localhost:"];
     split_endpoint(endpoint).is_some_and(|(_, host)| loopbacks.iter().any(|loopback| host.starts_with(loopback)))
@@ -201,8 +201,8 @@ fn is_encrypted(endpoint: &str) -> bool {
     split_endpoint(endpoint).is_some_and(|(protocol, _)| matches!(protocol, "tls" | "quic"))
 }
 
-/// A port has to know who comes there, by certificates that it asks for; unless messages tell who made them (or the file says
-/// that it does not matter), which `is_guarded` says.
+/// Checks an endpoint to listen on. It has to ask for certificates, unless messages are authenticated or the file says `insecure`
+/// (`is_guarded`).
 fn check_listen(endpoint: &str, asks_who: bool, is_guarded: bool) -> Result<(), Hinted> {
     if split_endpoint(endpoint).is_none() {
         let hint = "an endpoint looks like tcp/127.0.0.1:7447";
@@ -310,7 +310,7 @@ mod tests {
         let machine = |connect: &[&str]| Machine {
             listen: vec!["tcp/127.0.0.1:7447".to_owned()],
             connect: connect.iter().map(|&endpoint| endpoint.to_owned()).collect(),
-            insecure: true, // who may come is another test's question
+            insecure: true, // access is checked in another test
             ..Machine::default()
         };
         let endpoints = |config: &zenoh::Config| {

@@ -1,11 +1,11 @@
-//! What is told once, however often it comes.
+//! A set of messages for the user that are each logged only once.
 
 use std::collections::BTreeSet;
 
-/// So many texts are told: who comes with ever new ones fills no log.
+/// At most this many texts are logged, so that a peer with ever new ones cannot fill the log.
 const MOST: usize = 16; // [algorithmic]
 
-/// The texts that were told.
+/// The texts that were logged.
 #[derive(Debug, Default)]
 pub(crate) struct ToldOnce(BTreeSet<String>);
 
@@ -14,12 +14,12 @@ impl ToldOnce {
         Self(BTreeSet::new())
     }
 
-    /// Whether this is to be told now: it was not before, and not too many others were.
+    /// Whether this text is to be logged now: it was not logged before, and the limit is not reached.
     pub(crate) fn admits(&mut self, text: &str) -> bool {
         self.0.len() < MOST && self.0.insert(text.to_owned())
     }
 
-    /// All that was told.
+    /// All texts that were logged.
     pub(crate) fn texts(&self) -> &BTreeSet<String> {
         &self.0
     }

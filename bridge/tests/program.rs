@@ -1,6 +1,7 @@
-//! The program as `conicflow` has it beside itself. (Where the tests of the whole workspace are built, it is built for this.)
+//! Tests of the program that `conicflow` starts from its own folder. (It is built with this test, so that it exists where the
+//! tests of the whole workspace are built.)
 
-#![allow(clippy::unwrap_used)] // what a test cannot go on from is its failure
+#![allow(clippy::unwrap_used)] // in tests, a panic is a failure
 
 use std::io::Write as _;
 use std::process::{Command, Output, Stdio};

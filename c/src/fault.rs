@@ -1,4 +1,4 @@
-//! What went wrong, as C is told it: a text for each thread.
+//! The last error for C: a text per thread.
 
 use conicflow_messages::Hinted;
 use std::cell::RefCell;
@@ -10,9 +10,9 @@ thread_local! {
     static LAST: RefCell<CString> = RefCell::default();
 }
 
-/// What `work` returns; if it fails or panics nothing, and the text is kept.
+/// Runs `work` and returns its result; after an error or a panic keeps the text and returns `None`.
 pub(crate) fn catch<T>(work: impl FnOnce() -> Result<T, Hinted>) -> Option<T> {
-    // A detector begins each image anew: what a panic has left in its buffers is not looked at again.
+    // A detector starts afresh with each image: it does not read what a panic has left in its buffers.
     let done = catch_unwind(AssertUnwindSafe(work));
     let fault = match done {
         Ok(Ok(value)) => return Some(value),
@@ -28,16 +28,16 @@ pub(crate) fn catch<T>(work: impl FnOnce() -> Result<T, Hinted>) -> Option<T> {
     None
 }
 
-/// An error of the detector, which has its hint in it.
+/// Converts an error of the detector, which contains its hint.
 pub(crate) fn told(error: &dyn Error) -> Hinted {
     let text = error.to_string();
     let (what, hint) = text.split_once("\n  hint: ").unwrap_or((&text, "conicflow.h says what is wanted"));
     Hinted::new(what, hint)
 }
 
-/// What went wrong last on this thread.
+/// Returns the last error of this thread.
 pub(crate) fn last() -> *const c_char {
-    // Of a thread that is ending nothing is kept any more.
+    // A thread that is ending has lost its text.
     LAST.try_with(|last| last.borrow().as_ptr()).unwrap_or(c"".as_ptr())
 }
 
@@ -47,7 +47,7 @@ mod tests {
     use std::ffi::CStr;
 
     fn text() -> String {
-        // SAFETY: it is a text of this thread, and nothing goes wrong meanwhile.
+        // SAFETY: it is a text of this thread, and no error replaces it meanwhile.
         unsafe { CStr::from_ptr(last()) }.to_str().unwrap().to_owned()
     }
 

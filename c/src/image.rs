@@ -1,4 +1,4 @@
-//! An image as C has it: a pointer to its first pixel, and how far rows are from each other.
+//! An image from C: a pointer to the first pixel, and the distance of rows.
 
 use conicflow_detection::Camera;
 use conicflow_messages::Hinted;
@@ -6,34 +6,34 @@ use conicflow_messages::Hinted;
 /// An image in the memory of a program in C.
 pub(crate) struct Image<T> {
     pub(crate) first: *const T,
-    /// From the beginning of a row to that of the next; 0: there are no gaps.
+    /// Distance of rows in bytes; 0: there are no gaps.
     pub(crate) row_bytes: usize,
 }
 
 impl<T: Copy> Image<T> {
-    /// Its pixels, row by row without gaps: where they lie, or in `buffer` if their rows have gaps.
+    /// Returns the pixels row by row without gaps: in place, or copied to `buffer` if there are gaps between rows.
     ///
     /// # Errors
-    /// It cannot be an image of that camera.
+    /// It is no valid image of that camera.
     ///
     /// # Safety
-    /// `first` is null or points to as many rows as the camera has, `row_bytes` from each other, that nobody writes to meanwhile.
-    /// Any bits are a `T`.
+    /// `first` is null or points to as many rows as the camera has, at distances of `row_bytes`, which nobody writes to
+    /// meanwhile. Any bits are a `T`.
     pub(crate) unsafe fn pixels<'a>(&self, camera: &Camera, buffer: &'a mut Vec<T>) -> Result<&'a [T], Hinted> {
         let (columns, rows, stride) = (camera.width as usize, camera.height as usize, self.stride(camera)?);
         if stride == columns {
-            // SAFETY: the caller vouches for so many pixels; `stride` has refused null and what is not aligned.
+            // SAFETY: the caller guarantees the number of pixels; `stride` has refused null and unaligned pointers.
             return Ok(unsafe { std::slice::from_raw_parts(self.first, columns * rows) });
         }
         buffer.clear();
         for row in 0..rows {
-            // SAFETY: as above, of each row; `stride` has made sure that the offset fits an address.
+            // SAFETY: as above, for each row; `stride` has checked that the offset fits an address.
             buffer.extend_from_slice(unsafe { std::slice::from_raw_parts(self.first.add(row * stride), columns) });
         }
         Ok(buffer)
     }
 
-    /// From row to row, in pixels.
+    /// The distance of rows in pixels.
     fn stride(&self, camera: &Camera) -> Result<usize, Hinted> {
         let Self { first, row_bytes } = *self;
         let (columns, rows, size) = (camera.width as usize, camera.height as usize, size_of::<T>());
@@ -66,7 +66,7 @@ mod tests {
 
     fn pixels(memory: &[u16], row_bytes: usize) -> Result<Vec<u16>, String> {
         let (image, mut buffer) = (Image { first: memory.as_ptr(), row_bytes }, Vec::new());
-        // SAFETY: the tests pass enough memory for the strides that are taken.
+        // SAFETY: the tests pass enough memory for these strides.
         unsafe { image.pixels(&CAMERA, &mut buffer) }.map(<[u16]>::to_vec).map_err(|error| error.to_string())
     }
 

@@ -1,9 +1,9 @@
-//! The detector for C: what `conicflow.h` declares, in the order of that file.
+//! The detector for C: implements `conicflow.h`, in the order of that file.
 //!
-//! This is a border. Pointers and sizes that come from there are checked as far as they can be; what is wrong, also a panic
-//! within, comes back as a text ([`fault`]) and never as an unwinding. [`Camera`] and [`Object`] cross it as they lie in memory.
+//! This is a border. Pointers and sizes from C are checked as far as possible; errors, including panics, are returned as a text
+//! ([`fault`]) and never unwind into C. [`Camera`] and [`Object`] cross it as they are in memory.
 
-#![allow(unsafe_code)] // what C passes are pointers
+#![allow(unsafe_code)] // C passes pointers
 
 mod fault;
 mod image;
@@ -15,27 +15,26 @@ use image::Image;
 use std::ffi::{CStr, c_char, c_int};
 use std::ptr;
 
-/// What ends in a zero, as texts of C do.
+/// The version as a C string.
 const VERSION: &CStr = match CStr::from_bytes_with_nul(concat!(env!("CARGO_PKG_VERSION"), "\0").as_bytes()) {
     Ok(version) => version,
     Err(_) => c"",
 };
 
-/// What C has a pointer to.
+/// The detector that C has a pointer to.
 pub struct CDetector {
     detector: Detector,
     camera: Camera,
-    /// What was found in the last image: C reads it here.
+    /// The objects of the last image, which C reads here.
     objects: Vec<Object>,
-    /// The last images whose rows had gaps, without these.
+    /// The pixels of the last image, for images with gaps between rows.
     units: Vec<u16>,
     metres: Vec<f32>,
 }
 
 /// See `conicflow.h`.
 ///
-/// # Safety
-/// `camera` is null or points to a camera, `noise` is null or to a text that ends in a zero.
+/// `camera` is null or points to a camera; `noise` is null or points to a text that ends in a zero.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn conicflow_create(
     camera: *const Camera,
@@ -43,9 +42,9 @@ pub unsafe extern "C" fn conicflow_create(
     noise: *const c_char,
 ) -> *mut CDetector {
     let created = fault::catch(|| {
-        // SAFETY: null, or the caller vouches for it; any bits are a camera.
+        // SAFETY: null, or the caller guarantees it; any bits are a camera.
         let camera = *unsafe { camera.as_ref() }.ok_or_else(|| is_null("camera"))?;
-        // SAFETY: the caller vouches for it where it is not null.
+        // SAFETY: the caller guarantees it if it is not null.
         let noise = (!noise.is_null()).then(|| unsafe { CStr::from_ptr(noise) });
         create(camera, depth_scale, noise)
     });
@@ -64,7 +63,7 @@ fn create(camera: Camera, depth_scale: f64, noise: Option<&CStr>) -> Result<CDet
 ///
 /// # Safety
 /// `detector` is null or was made by [`conicflow_create`], has not been freed, and no other thread uses it. `depth` is null or
-/// points to as many rows as its camera has, `row_bytes` from each other. `objects` is null or can be written.
+/// points to as many rows as its camera has, at distances of `row_bytes`. `objects` is null or can be written.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn conicflow_detect(
     detector: *mut CDetector,
@@ -72,7 +71,7 @@ pub unsafe extern "C" fn conicflow_detect(
     row_bytes: usize,
     objects: *mut *const Object,
 ) -> c_int {
-    // SAFETY: the caller vouches for what these ask.
+    // SAFETY: the caller guarantees the conditions.
     unsafe {
         answer(detector, objects, |CDetector { detector, camera, units, .. }| {
             let pixels = Image { first: depth, row_bytes }.pixels(camera, units)?;
@@ -84,7 +83,7 @@ pub unsafe extern "C" fn conicflow_detect(
 /// See `conicflow.h`.
 ///
 /// # Safety
-/// As of [`conicflow_detect`].
+/// As for [`conicflow_detect`].
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn conicflow_detect_metres(
     detector: *mut CDetector,
@@ -92,7 +91,7 @@ pub unsafe extern "C" fn conicflow_detect_metres(
     row_bytes: usize,
     objects: *mut *const Object,
 ) -> c_int {
-    // SAFETY: the caller vouches for what these ask.
+    // SAFETY: the caller guarantees the conditions.
     unsafe {
         answer(detector, objects, |CDetector { detector, camera, metres, .. }| {
             let pixels = Image { first: depth, row_bytes }.pixels(camera, metres)?;
@@ -101,26 +100,26 @@ pub unsafe extern "C" fn conicflow_detect_metres(
     }
 }
 
-/// Lets the detector find objects, and tells how many and where they are.
+/// Runs the detector; returns the number of objects and sets `objects` to the first.
 ///
 /// # Safety
-/// `detector` is null or points to a detector that nothing else uses meanwhile; `objects` is null or can be written.
+/// `detector` is null or points to a detector that nothing else uses; `objects` is null or can be written.
 unsafe fn answer(
     detector: *mut CDetector,
     objects: *mut *const Object,
     find: impl FnOnce(&mut CDetector) -> Result<Vec<Object>, Hinted>,
 ) -> c_int {
     let count = fault::catch(|| {
-        // SAFETY: null, or the caller vouches for it.
+        // SAFETY: null, or the caller guarantees it.
         let detector = unsafe { detector.as_mut() }.ok_or_else(|| is_null("detector"))?;
         if objects.is_null() {
             return Err(is_null("objects"));
         }
         detector.objects = find(detector)?;
         let first = detector.objects.first().map_or(ptr::null(), ptr::from_ref);
-        // SAFETY: the caller vouches for it; what is there may not have been written before.
+        // SAFETY: the caller guarantees it; the target may be uninitialised.
         unsafe { objects.write(first) };
-        // The detector reports some dozens of objects at most.
+        // The detector reports a few dozen objects at most.
         Ok(c_int::try_from(detector.objects.len()).unwrap_or(c_int::MAX))
     });
     count.unwrap_or(-1)
@@ -133,7 +132,7 @@ unsafe fn answer(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn conicflow_free(detector: *mut CDetector) {
     if !detector.is_null() {
-        // SAFETY: it came out of a box in `conicflow_create`, and goes back once.
+        // SAFETY: it came from a box in `conicflow_create`, and is freed once.
         let detector = unsafe { Box::from_raw(detector) };
         fault::catch(|| {
             drop(detector);

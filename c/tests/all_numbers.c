@@ -1,4 +1,4 @@
-/* Writes the bytes of all objects in an image, as the test of the library asks for them: ROWS_FROM_ROW is the distance of rows. */
+/* Writes the bytes of all objects in an image, for the library's test. */
 #include "conicflow.h"
 
 #include <stdio.h>
@@ -16,7 +16,7 @@ static void *read_all(const char *path, size_t *bytes) {
     return memory;
 }
 
-/* all_numbers u16|f32 FILE WIDTH HEIGHT FX FY CX CY ROW_BYTES SCALE NOISE: FILE holds the pixels as they lie in memory. */
+/* all_numbers u16|f32 FILE WIDTH HEIGHT FX FY CX CY ROW_BYTES SCALE NOISE: FILE holds the pixels as in memory. */
 int main(int argc, char **argv) {
     if (argc != 12) return 3;
     conicflow_camera camera = {(uint32_t)atoi(argv[3]), (uint32_t)atoi(argv[4]), atof(argv[5]), atof(argv[6]), atof(argv[7]), atof(argv[8])};
@@ -24,7 +24,7 @@ int main(int argc, char **argv) {
     void *depth = read_all(argv[2], &bytes);
     conicflow_detector *detector = conicflow_create(&camera, atof(argv[10]), argv[11]);
     const conicflow_object *objects = NULL;
-    /* Twice: what the first image leaves behind must not be seen in the second. */
+    /* Twice, so that data left over from the first image would show in the second. */
     for (int round = 0; round < 2; round++) {
         int count = strcmp(argv[1], "u16") == 0 ? conicflow_detect(detector, depth, row_bytes, &objects)
                                                 : conicflow_detect_metres(detector, depth, row_bytes, &objects);

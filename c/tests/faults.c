@@ -1,4 +1,4 @@
-/* What is wrong is told, and nothing else happens: each line is a call that has to fail, and its error. */
+/* Checks that errors are reported and have no other effect: each line of output is a call that has to fail, and its error. */
 #include "conicflow.h"
 
 #include <math.h>

@@ -1,8 +1,8 @@
-//! The library as a program in C has it: the header and the example are compiled with `cc`, linked both ways, and run; what they
-//! find is what the Rust library finds, to the bit.
+//! Tests of the library from C: the header and the example are compiled with `cc`, linked statically and dynamically, and run;
+//! their results equal those of the Rust library bit for bit.
 
-#![allow(missing_docs)] // a test's name says what it shows
-#![allow(clippy::unwrap_used)] // what a test cannot go on from is its failure
+#![allow(missing_docs)] // the names of tests are their documentation
+#![allow(clippy::unwrap_used)] // in tests, a panic is a failure
 
 use conicflow_detection::{Camera, Detector, NoiseModel, Object};
 use conicflow_geometry::Vector3;
@@ -17,7 +17,7 @@ use tempfile::TempDir;
 const SHARED_NAME: &str =
     concat!("libconicflow.so.", env!("CARGO_PKG_VERSION_MAJOR"), ".", env!("CARGO_PKG_VERSION_MINOR"));
 
-/// The compiler; none, which is said, where there is none.
+/// Returns the compiler, or `None` with a message if there is none.
 fn compiler() -> Option<&'static str> {
     let found = Command::new("cc").arg("--version").output().is_ok_and(|output| output.status.success());
     if !found {
@@ -30,15 +30,15 @@ fn folder() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// A library that cargo has made beside this test.
+/// Returns the path of a library that cargo has built beside this test.
 fn library(name: &str) -> PathBuf {
     let tests = std::env::current_exe().unwrap();
     let beside = tests.parent().unwrap().join(name);
     if beside.is_file() { beside } else { tests.parent().unwrap().with_file_name(name) }
 }
 
-/// Compiles a program, and links it with the static or the shared library. The shared one is there under the name by which it
-/// is linked only meanwhile, as where none but the package that runs programs is installed.
+/// Compiles a program and links it with the static or the shared library. After linking, only the versioned name of the shared
+/// library remains, as where only the runtime package is installed.
 fn compile(source: &Path, into: &TempDir, shared: bool) -> Option<PathBuf> {
     let program = into.path().join(source.file_stem().unwrap());
     let mut command = Command::new(compiler()?);
@@ -66,7 +66,7 @@ fn run(program: &Path, arguments: &[String]) -> Output {
     Command::new(program).args(arguments).output().unwrap()
 }
 
-/// A ball, a can and a cone before a wall.
+/// A ball, a can and a cone in front of a wall.
 fn scene() -> (Camera, Vec<u16>) {
     let frustum = |x: f64, slope: f64| frustum(Vector3::new(x, 0.1, 1.4), Vector3::y(), 0.1, slope, 0.4);
     let ball = sphere(Vector3::new(0.0, 0.0, 1.2), 0.12);
@@ -109,7 +109,7 @@ fn the_example_prints_what_the_rust_library_finds() {
     assert_eq!((cut.status.code(), cut.stdout.len()), (Some(1), 0));
 }
 
-/// The bytes that the C program writes of the objects in an image, whose rows begin `row_bytes` from each other.
+/// Returns the bytes that the C program writes for the objects in an image with rows at distances of `row_bytes`.
 fn all_numbers<T: bytemuck::NoUninit>(
     program: &Path,
     camera: Camera,
@@ -129,7 +129,7 @@ fn all_numbers<T: bytemuck::NoUninit>(
     output.stdout
 }
 
-/// Rows with `gap` pixels behind each, which would be seen if they were taken for depths.
+/// Adds `gap` pixels after each row, which would show in the results if they were read as depths.
 fn with_gaps<T: Copy>(pixels: &[T], columns: usize, gap: usize, filler: T) -> Vec<T> {
     pixels.chunks(columns).flat_map(|row| row.iter().copied().chain(std::iter::repeat_n(filler, gap))).collect()
 }
@@ -139,7 +139,7 @@ fn every_number_is_that_of_the_rust_library_to_the_bit() {
     let (camera, depth) = scene();
     let metres: Vec<f32> = depth.iter().map(|&z| if z == 0 { f32::NAN } else { f32::from(z) * 0.001 }).collect();
     let detector = |scale: f64, noise: NoiseModel| Detector::new(camera).noise(noise).depth_scale(scale);
-    // The second time it has learned from the first.
+    // For the second image, the detector has learned from the first.
     let twice = |mut detector: Detector, detect: &dyn Fn(&mut Detector) -> Vec<Object>| {
         let objects = [detect(&mut detector), detect(&mut detector)].concat();
         bytemuck::cast_slice::<_, u8>(&objects).to_vec()
@@ -157,7 +157,7 @@ fn every_number_is_that_of_the_rust_library_to_the_bit() {
             of(&depth, 0, 0.001, "kinect_v1") == expected
                 && of(&gaps, 2 * (columns + 7), 0.001, "kinect_v1") == expected
         );
-        // Another scale and another sensor give other numbers, and again those of the Rust library.
+        // Another scale and another sensor give other numbers, which again equal those of the Rust library.
         let other = twice(detector(0.0012, NoiseModel::IDEAL), &|each| each.detect(&depth));
         assert!(other != expected && of(&depth, 2 * columns, 0.0012, "ideal") == other);
         let expected = twice(detector(0.001, NoiseModel::KINECT_V1), &|each| each.detect_f32(&metres));
@@ -186,7 +186,7 @@ fn the_versions_of_header_library_and_package_are_the_same() {
     assert_eq!(String::from_utf8(output.stdout).unwrap(), format!("{version} {version}\n"));
 }
 
-/// Where the fields of the structs lie, in C and in Rust.
+/// Compares the offsets of the structs' fields in C and in Rust.
 #[test]
 fn the_header_has_the_layouts_of_the_library() {
     let Some(compiler) = compiler() else { return };

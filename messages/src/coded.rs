@@ -1,20 +1,20 @@
-//! Enumerations of messages: each value is a number there, and a word in JSON and in texts.
+//! Enumerations in messages: each value has a number there, and a word in JSON and in texts.
 
-/// Gives an enumeration its numbers and words, one row for each value.
+/// Defines the numbers and words of an enumeration, one row per value.
 macro_rules! coded {
     ($type:ident: $($value:ident = $code:literal $word:literal),+ $(,)?) => {
         impl $type {
-            /// All of them, in the order of their numbers.
+            /// All values, in the order of their numbers.
             pub const ALL: [Self; [$($code),+].len()] = [$(Self::$value),+];
 
-            /// The number that stands for it in a message.
+            /// The number of the value in a message.
             pub const fn code(self) -> u32 {
                 match self {
                     $(Self::$value => $code,)+
                 }
             }
 
-            /// The value that a number stands for.
+            /// The value of a number, if there is one.
             pub const fn from_code(code: u32) -> Option<Self> {
                 match code {
                     $($code => Some(Self::$value),)+
@@ -22,7 +22,7 @@ macro_rules! coded {
                 }
             }
 
-            /// The word for it.
+            /// The word for the value.
             pub const fn name(self) -> &'static str {
                 match self {
                     $(Self::$value => $word,)+

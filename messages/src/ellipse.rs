@@ -1,4 +1,4 @@
-//! Ellipses: what the extractor finds in one scan line, with the moments of the points that it was fitted to.
+//! Ellipses: what the extractor finds in one scan line, with the moments of the points that it fitted.
 
 use crate::{Header, Item, Malformed, coded::coded, item::check_each, item::finite};
 use bytemuck::{Pod, Zeroable};
@@ -7,16 +7,16 @@ use serde::{Deserialize, Serialize};
 /// Number of moments `sum s^p t^q`, p + q <= 4.
 pub const MOMENTS: usize = 15;
 
-/// Number of points at either end of an arc that are told one by one. What a silhouette adds or spoils is seldom wider: with 4, 6
-/// and 12 of them, 499, 503 and 502 of 520 things are found in recordings (`experiments/README.md`, "The recorded ball").
+/// Number of points at either end of an arc that are listed individually. Few silhouettes add or spoil more: with 4, 6 and 12 of
+/// them, 499, 503 and 502 of 520 things are found in recordings (`experiments/README.md`, "The recorded ball").
 pub const END_POINTS: usize = 6;
 
 /// The direction of a scan line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scan {
-    /// A row of the image: `line` is v, the pixels are counted along u.
+    /// A row of the image: `line` is v, pixels are counted along u.
     Row,
-    /// A column of the image: `line` is u, the pixels are counted along v.
+    /// A column of the image: `line` is u, pixels are counted along v.
     Column,
 }
 
@@ -24,9 +24,8 @@ coded!(Scan: Row = 0 "row", Column = 1 "column");
 
 /// An ellipse in the plane through the camera centre and one scan line.
 ///
-/// In-plane coordinates, for a row v with `y = (v - cy) / fy` and `k = sqrt(1 + y^2)`: `s = z (u - cx) / fx` along the
-/// line and `t = z k` away from the camera; a point is `(s, t y / k, t / k)` in the camera frame. For a column x and y
-/// change places.
+/// In-plane coordinates, for a row v with `y = (v - cy) / fy` and `k = sqrt(1 + y^2)`: `s = z (u - cx) / fx` along the line and
+/// `t = z k` away from the camera; a point is `(s, t y / k, t / k)` in the camera frame. For a column, x and y are swapped.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq, Serialize, Deserialize)]
 pub struct Ellipse {
@@ -38,13 +37,13 @@ pub struct Ellipse {
     pub first: u32,
     /// Last pixel of the arc along the line.
     pub last: u32,
-    /// Number of measurements in the arc; holes are not counted.
+    /// Number of measurements in the arc, without holes.
     pub points: u32,
-    /// How many pixels before `first` and behind `last` the depths in `beyond` were measured.
+    /// How many pixels before `first` and after `last` the depths in `beyond` were measured.
     pub beyond_px: u32,
-    /// 1: the moments are free of the bias that the sensor's noise gives them; 0: they are plain sums.
+    /// 1: the moments are corrected for the bias that the sensor's noise causes; 0: they are plain sums.
     pub unbiased: u32,
-    /// Every how many lines the extractor looked at one; 0 stands for 1, all of them.
+    /// The extractor processed every `line_step`-th line; 0 stands for 1, all of them.
     pub line_step: u32,
     /// Centre in the camera frame, in metres.
     pub center: [f64; 3],
@@ -58,28 +57,29 @@ pub struct Ellipse {
     pub half_width: f64,
     /// Half the extent along t, along the view, in metres: the paper's r2.
     pub half_depth: f64,
-    /// Root mean square distance of the points from the ellipse, in metres.
+    /// Root mean square distance of the points from the ellipse, in metres; in excess of the noise if the moments are unbiased.
     pub rms: f64,
     /// Angle that the arc spans around the centre, in radians.
     pub arc: f64,
-    /// Standard deviation of a depth for which the moments were corrected, in metres.
+    /// Standard deviation of a depth, for which the moments were corrected, in metres.
     pub sigma: f64,
-    /// How many neighbouring pixels share their noise, as the mean of many tells: its variance is that of one times this
-    /// over their number. 1: each has its own, also where this is 0.
+    /// How many neighbouring pixels share their noise: the variance of the mean of many depths is that of one, times this, over
+    /// their number. 1 or 0: the noise of each pixel is independent.
     pub correlation_px: f64,
-    /// The same of neighbouring lines of the image; 0 stands for 1.
+    /// The same for neighbouring lines of the image; 0 stands for 1.
     pub shared_lines: f64,
-    /// Over how many lines the depths of the points are averaged, by the variance that this leaves; 0 stands for 1, none. So many
-    /// times as many lines share their noise as without; `contour` is that of the one line.
+    /// Over how many lines the depths of the points are averaged, as an effective number that gives the remaining variance; 0
+    /// stands for 1, none. The number of lines that share their noise grows by the same factor. `contour` is that of the single
+    /// line.
     pub averaged_lines: f64,
-    /// Depths measured `beyond_px` pixels before the first and behind the last pixel, in metres; 0: none.
+    /// Depths measured `beyond_px` pixels before the first and after the last pixel, in metres; 0: none.
     pub beyond: [f64; 2],
-    /// Where along the line the surface ends on either side before something farther behind it, in pixels: half a
-    /// pixel beyond its last one, or in the middle of a pixel that belongs to neither; 0: what ends it is nearer, adjoins it or
-    /// is not seen.
+    /// Where along the line the surface ends on either side before a more distant background, in pixels: half a pixel beyond its
+    /// last one, or the middle of a pixel that belongs to neither. 0: the surface is occluded, adjoins another, or its end is not
+    /// seen.
     pub contour: [f64; 2],
-    /// Depths of the outermost points of either end, on neighbouring pixels from `first` and `last` inwards, in metres; 0: none.
-    /// They are among the moments. Whether they belong to an object shows only where its outline is known.
+    /// Depths of the outermost points at either end, on neighbouring pixels from `first` and `last` inwards, in metres; 0: none.
+    /// They are included in the moments. Whether they belong to an object only shows when its outline is known.
     pub ends: [[f64; END_POINTS]; 2],
     /// Origin `(s, t)` of the moments, in metres.
     pub origin: [f64; 2],
@@ -89,23 +89,23 @@ pub struct Ellipse {
 }
 
 impl Ellipse {
-    /// The direction of the scan line; a code that stands for none is refused at the border, by [`Item::check`].
+    /// The direction of the scan line; [`Item::check`] has refused unknown codes.
     pub fn direction(&self) -> Scan {
         Scan::from_code(self.scan).unwrap_or(Scan::Column)
     }
 
-    /// Every how many lines the extractor looked at one, at least 1.
+    /// The step between the lines that the extractor processed, at least 1.
     pub fn step(&self) -> u32 {
         self.line_step.max(1)
     }
 
-    /// How many of its points count as one whose noise is its own, at least 1: of few points hardly any share it with others.
+    /// Number of its points per independent noise value, at least 1: with few points, hardly any share their noise.
     pub fn shared(&self) -> f64 {
         let points = f64::from(self.points.max(1));
         points / ((points - 1.0) / self.correlation_px.max(1.0) + 1.0)
     }
 
-    /// Whether the line and the pixels lie in the image, and the codes are ones that there are.
+    /// Whether the line and the pixels lie in the image, and the codes are valid.
     fn is_in(&self, header: &Header) -> bool {
         let (width, height) = (header.camera.width, header.camera.height);
         let (lines, pixels) = if self.direction() == Scan::Row { (height, width) } else { (width, height) };
@@ -113,7 +113,7 @@ impl Ellipse {
         Scan::from_code(self.scan).is_some() && self.unbiased <= 1 && inside
     }
 
-    /// Whether there are points, and no deviation or depth is less than none.
+    /// Whether there are points, and no deviation or depth is negative.
     fn is_of_points(&self) -> bool {
         self.sigma >= 0.0
             && self.correlation_px >= 0.0
@@ -141,7 +141,7 @@ impl Ellipse {
 impl Item for Ellipse {
     const NAME: &'static str = "ellipses";
     const TYPE_NAME: &'static str = "conicflow.Ellipse.v8";
-    /// Arcs in an image of 640x480 pixels, which few exceed.
+    /// The number of arcs in an image of 640x480 pixels, which few exceed.
     const USUAL_LENGTH: usize = 1024;
 
     fn check(header: &Header, items: &[Self]) -> Result<(), Malformed> {

@@ -1,4 +1,4 @@
-//! What is wrong, with what to do about it: the form that every package gives its errors.
+//! Errors with a hint: the common form of errors in all packages.
 
 use crate::DEPTH_SCALES_M;
 use serde::{Deserialize, Serialize};
@@ -14,7 +14,7 @@ pub struct Hinted {
     pub what: String,
     /// What to do about it.
     pub hint: String,
-    /// Whether it would come again if the work were tried again.
+    /// Whether a retry would fail in the same way.
     #[serde(default)]
     pub lasts: bool,
 }
@@ -25,12 +25,12 @@ impl Hinted {
         Self { what: what.into(), hint: hint.into(), lasts: false }
     }
 
-    /// An error that would come again if the work were tried again.
+    /// An error that a retry would give again.
     pub fn lasting(what: impl Into<String>, hint: impl Into<String>) -> Self {
         Self { lasts: true, ..Self::new(what, hint) }
     }
 
-    /// What keeps a file from being written, with what to do about that.
+    /// An error that prevents a file from being written, with a hint for its cause.
     pub fn of_writing(what: impl Into<String>, error: &io::Error) -> Self {
         let hint = match error.kind() {
             ErrorKind::StorageFull | ErrorKind::QuotaExceeded => "free some space, or write to another disk",
@@ -43,7 +43,7 @@ impl Hinted {
         Self { lasts: has_no_room(error), ..Self::new(what, hint) }
     }
 
-    /// An error and its causes in one line, with the hint that one of them brings, or else this one.
+    /// Joins an error and its causes into one line, with the hint of the innermost [`Hinted`] among them, else `otherwise`.
     pub fn of(error: &(dyn Error + 'static), otherwise: &str) -> Self {
         let (mut texts, mut hint, mut next) = (Vec::new(), otherwise, Some(error));
         while let Some(cause) = next {
@@ -60,14 +60,13 @@ impl Hinted {
     }
 }
 
-/// Whether a file has no room to be written in, or may not be written at all.
+/// Whether a file has no room, or may not be written at all.
 fn has_no_room(error: &io::Error) -> bool {
     use ErrorKind::{FileTooLarge, QuotaExceeded, ReadOnlyFilesystem, StorageFull};
     matches!(error.kind(), StorageFull | QuotaExceeded | FileTooLarge | ReadOnlyFilesystem)
 }
 
-/// Whether an error would come again if the work were tried again, as it or one of its causes says: a disk that is full stays
-/// so.
+/// Whether a retry would fail again, according to an error or one of its causes: for example, a full disk stays full.
 pub fn lasts(error: &(dyn Error + 'static)) -> bool {
     let own = error.downcast_ref::<Hinted>().is_some_and(|hinted| hinted.lasts);
     own || error.downcast_ref().is_some_and(has_no_room) || error.source().is_some_and(lasts)
@@ -85,24 +84,24 @@ pub struct ConfigFault {
 }
 
 impl ConfigFault {
-    /// What is wrong with the parameter `key`, and what to do about it.
+    /// A fault of the parameter `key`, and what to do about it.
     pub fn new(key: &'static str, what: impl Into<String>, hint: impl Into<String>) -> Self {
         Self { key, what: what.into(), hint: hint.into() }
     }
 
-    /// The parameter `key` names a file or folder that is not there.
+    /// Returns a fault if the parameter `key` names a file or folder that does not exist.
     pub fn of_missing(key: &'static str, path: &Path) -> Option<Self> {
         let what = || format!("`{}` does not exist", path.display());
         (!path.exists()).then(|| Self::new(key, what(), "relative paths start at the pipeline file's folder"))
     }
 
-    /// What is wrong with metres per unit of depth, the parameter `depth_scale`.
+    /// Returns the fault of `depth_scale`, the parameter with the metres per unit of depth, if it is out of range.
     pub fn of_depth_scale(scale: f64) -> Option<Self> {
         let fault = || Self::new("depth_scale", "is not from 1e-9 to 1", "0.001 for millimetres");
         (!DEPTH_SCALES_M.contains(&scale)).then(fault)
     }
 
-    /// The parameter `key` names a file that cannot be used.
+    /// A fault of the parameter `key` that names an unusable file.
     pub fn of_file(key: &'static str, error: &(dyn Error + 'static)) -> Self {
         let Hinted { what, hint, .. } = Hinted::of(error, "correct the file, or name another one");
         Self { key, what, hint }

@@ -1,16 +1,16 @@
-//! Files by paths that users write, which may lead anywhere, and may hold what somebody still wants.
+//! Files at paths that users write: these may be special files, or files with content that is still needed.
 
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read as _};
 use std::path::Path;
 
-/// What some programs write before a text.
+/// A mark that some programs write before a text.
 const BYTE_ORDER_MARK: char = '\u{feff}';
 
-/// Reads a text of so many bytes at most, without a byte order mark.
+/// Reads a text of at most `most_bytes`, without a byte order mark.
 ///
 /// # Errors
-/// It cannot be read, is longer, or is no UTF-8.
+/// The file cannot be read, is longer, or is not UTF-8.
 pub fn read_text(path: &Path, most_bytes: u64) -> io::Result<String> {
     let mut text = String::new();
     File::open(path)?.take(most_bytes.saturating_add(1)).read_to_string(&mut text)?;
@@ -23,8 +23,8 @@ pub fn read_text(path: &Path, most_bytes: u64) -> io::Result<String> {
     Ok(text)
 }
 
-/// A file that is to be written anew, and until then holds what an earlier run has left in it: a run that fails before it has
-/// anything to write destroys nothing.
+/// A file to be rewritten that keeps the content of an earlier run until the first write: a run that fails earlier destroys
+/// nothing.
 #[derive(Debug)]
 pub struct LateFile {
     file: File,
@@ -33,35 +33,35 @@ pub struct LateFile {
 }
 
 impl LateFile {
-    /// Opens the file at `path` for writing, and makes it and its folder where they are missing.
+    /// Opens the file at `path` for writing; creates it and its folder if they do not exist.
     ///
     /// # Errors
-    /// One of them cannot be made, or the file not be written.
+    /// The folder or the file cannot be created, or the file cannot be written.
     pub fn open(path: &Path) -> io::Result<Self> {
         path.parent().map_or(Ok(()), fs::create_dir_all)?;
         let is_new = !path.exists();
         let file = File::options().write(true).create(true).truncate(false).open(path)?;
-        // A device or a pipe holds nothing.
+        // A device or a pipe has no content.
         let is_earlier = file.metadata()?.len() > 0;
         Ok(Self { file, is_new, is_earlier })
     }
 
-    /// The file as it stands.
+    /// The file in its present state.
     pub fn file(&self) -> &File {
         &self.file
     }
 
-    /// Whether the file was not there before.
+    /// Whether the file did not exist before.
     pub fn is_new(&self) -> bool {
         self.is_new
     }
 
-    /// Whether it still holds what was in it.
+    /// Whether it still has its earlier content.
     pub fn is_earlier(&self) -> bool {
         self.is_earlier
     }
 
-    /// The file to write into: empties it the first time.
+    /// Returns the file for writing; empties it the first time.
     ///
     /// # Errors
     /// It cannot be emptied.
@@ -75,14 +75,14 @@ impl LateFile {
 }
 
 impl From<File> for LateFile {
-    /// A file that is gone on with: nothing in it is of an earlier run.
+    /// Continues a file: its content is not of an earlier run.
     fn from(file: File) -> Self {
         Self { file, is_new: false, is_earlier: false }
     }
 }
 
-/// Whether a path leads to something that is neither a file nor a folder: a device, a pipe or a socket, which may wait for ever to
-/// be opened.
+/// Whether a path leads to something other than a file or a folder: a device, a pipe or a socket, whose opening may block for
+/// ever.
 pub fn is_special(path: &Path) -> bool {
     path.metadata().is_ok_and(|about| !about.is_file() && !about.is_dir())
 }

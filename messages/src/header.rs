@@ -1,4 +1,4 @@
-//! The header that every message carries: which frame, seen by which camera, and when it passed which stage.
+//! The header of every message: which frame it belongs to, which camera took it, and when it passed which stage.
 
 use crate::{Malformed, Text};
 use bytemuck::{Pod, Zeroable};
@@ -8,35 +8,35 @@ use std::ops::RangeInclusive;
 /// Name and version of [`Header`]'s memory layout.
 pub const HEADER_TYPE_NAME: &str = "conicflow.Header.v2";
 
-/// Flag: the writer has nothing more to send; such a message carries no items.
+/// Flag: the writer sends nothing more; such a message has no items.
 pub const END_OF_STREAM: u32 = 1;
 /// Flag: [`Header::world_from_camera`] is known.
 pub const HAS_POSE: u32 = 2;
 /// Flag: the frame comes from a recording; [`Header::source`] is the name of its file.
 pub const RECORDED: u32 = 4;
 
-/// Most bytes of the name of a source; what is longer is cut.
+/// Maximum length of a source's name in bytes; longer names are cut.
 pub const MAX_SOURCE_BYTES: usize = 256;
 
-/// How many hops a message remembers; later ones are not recorded.
+/// Maximum number of hops; later ones are not recorded.
 pub const MAX_HOPS: usize = 8;
 
-/// Most pixels that an image has along a side ...
+/// Maximum width and height of an image, in pixels.
 pub const MAX_SIDE_PX: u32 = 16_384;
-/// ... and in all: what a header claims, stages make room for.
+/// Maximum number of pixels of an image: stages allocate memory for what a header claims.
 pub const MAX_PIXELS: u64 = 1 << 26;
 
-/// What precedes the items of every message.
+/// The header that precedes the items of every message.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq, Serialize, Deserialize)]
 pub struct Header {
-    /// One number per start of a source: a source that starts anew is told from one that goes on.
+    /// Number of this start of the source, which distinguishes a restarted source from one that goes on.
     pub epoch: u64,
-    /// Number of the frame, from 0, without gaps as the source sent them; of a recording replayed, as it was recorded.
+    /// Number of the frame, from 0 and without gaps as the source sent them; of a replayed recording, as recorded.
     pub sequence: u64,
-    /// Number of this message among those of the stage that wrote it, from 0: a gap tells what this edge lost.
+    /// Number of this message among those of the stage that wrote it, from 0: gaps are messages that this edge has lost.
     pub number: u64,
-    /// Time of capture in nanoseconds: since the Unix epoch where the sensor tells, else since the first frame.
+    /// Time of capture in nanoseconds: since the Unix epoch if the sensor has that time, else since the first frame.
     pub stamp_ns: u64,
     /// The camera that saw the frame.
     pub camera: Camera,
@@ -44,16 +44,16 @@ pub struct Header {
     pub depth_scale: f64,
     /// The depth noise of the sensor.
     pub noise: NoiseModel,
-    /// Pose of the camera, row-major `[R | t]` with a rotation R and t in metres, where [`HAS_POSE`] is set: [`Header::set_pose`] does
-    /// both.
+    /// Pose of the camera, row-major `[R | t]` with a rotation R and t in metres; valid if [`HAS_POSE`] is set.
+    /// [`Header::set_pose`] sets both.
     pub world_from_camera: [[f64; 4]; 3],
-    /// Name of the frame's file, or of the source; of a robot's camera that of its frame of coordinates.
+    /// Name of the frame's file or of the source; for a robot's camera, its coordinate frame.
     pub source: Text<MAX_SOURCE_BYTES>,
     /// [`END_OF_STREAM`], [`HAS_POSE`], [`RECORDED`].
     pub flags: u32,
-    /// How many entries of `hops` are in use.
+    /// Number of entries of `hops` in use.
     pub hop_count: u32,
-    /// The stages that the frame has passed, the source first.
+    /// The stages that have processed the frame, the source first.
     pub hops: [Hop; MAX_HOPS],
 }
 
@@ -63,9 +63,9 @@ pub struct Header {
 pub struct Hop {
     /// Name of the stage in the pipeline file.
     pub stage: Text<32>,
-    /// When the stage had the message (the source: the frame).
+    /// When the stage received the message (a source: the frame).
     pub received_ns: u64,
-    /// When it sent its own.
+    /// When the stage sent its own message.
     pub sent_ns: u64,
 }
 
@@ -91,8 +91,8 @@ pub struct Camera {
 
 /// Standard deviation of a depth measurement along z, as a function of the depth.
 ///
-/// `sigma(z)^2 = (floor + growth (z - knee)^2)^2 + (step z^2)^2 / 12`: the axial noise of a Kinect v1 after Nguyen,
-/// Izadi and Lovell (2012), and the error of a disparity that comes in steps.
+/// `sigma(z)^2 = (floor + growth (z - knee)^2)^2 + (step z^2)^2 / 12`: the axial noise of a Kinect v1 after Nguyen, Izadi and
+/// Lovell (2012), plus the quantisation error of the disparity.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq, Serialize, Deserialize)]
 pub struct NoiseModel {
@@ -121,7 +121,7 @@ impl NoiseModel {
         axial * axial + step * step / 12.0
     }
 
-    /// A sensor whose standard deviations are `factor` times those of this one.
+    /// Returns the model with standard deviations `factor` times those of this one.
     #[must_use]
     pub fn times(&self, factor: f64) -> Self {
         let Self { floor_m, growth_per_m, knee_m, step_per_m } = *self;
@@ -134,26 +134,26 @@ impl NoiseModel {
     }
 }
 
-/// Focal lengths that a camera can have, in pixels.
+/// Valid focal lengths, in pixels.
 pub const FOCAL_LENGTHS_PX: RangeInclusive<f64> = 1.0..=1e6;
-/// Farthest that a principal point can be from the first pixel, in pixels.
+/// Maximum distance of a principal point from the first pixel, in pixels.
 pub const FARTHEST_PRINCIPAL_POINT_PX: f64 = 1e6;
-/// Units that depths can have, in metres.
+/// Valid depth units, in metres.
 pub const DEPTH_SCALES_M: RangeInclusive<f64> = 1e-9..=1.0;
 /// Largest coefficient of a noise model, in its unit of metres.
 const LARGEST_NOISE: f64 = 1e3;
-/// Farthest that a camera can be from the origin of its world, in metres: farther than the Moon.
+/// Maximum distance of a camera from the origin of its world, in metres: farther than the Moon.
 const FARTHEST_M: f64 = 1e9;
 
 impl Camera {
-    /// Whether a camera can have these intrinsics.
+    /// Whether the intrinsics are in the valid range.
     pub fn has_intrinsics(&self) -> bool {
         let principal_point = -FARTHEST_PRINCIPAL_POINT_PX..=FARTHEST_PRINCIPAL_POINT_PX;
         [self.fx, self.fy].iter().all(|focal| FOCAL_LENGTHS_PX.contains(focal))
             && [self.cx, self.cy].iter().all(|place| principal_point.contains(place))
     }
 
-    /// Whether the image has pixels, and not more than an image can have.
+    /// Whether the size of the image is in the valid range.
     fn has_size(&self) -> bool {
         let side = |pixels| (1..=MAX_SIDE_PX).contains(&pixels);
         side(self.width) && side(self.height) && u64::from(self.width) * u64::from(self.height) <= MAX_PIXELS
@@ -171,13 +171,13 @@ impl Header {
         (self.flags & HAS_POSE != 0).then_some(&self.world_from_camera)
     }
 
-    /// Says where the camera is in the world, row-major `[R | t]` with a rotation R and t in metres.
+    /// Sets the pose of the camera in the world, row-major `[R | t]` with a rotation R and t in metres.
     pub fn set_pose(&mut self, world_from_camera: [[f64; 4]; 3]) {
         self.world_from_camera = world_from_camera;
         self.flags |= HAS_POSE;
     }
 
-    /// Whether the frame was read from a file that a sensor filled.
+    /// Whether the frame comes from a file with sensor data.
     pub fn is_recorded(&self) -> bool {
         self.flags & RECORDED != 0
     }
@@ -187,14 +187,14 @@ impl Header {
         &self.hops[..(self.hop_count as usize).min(MAX_HOPS)]
     }
 
-    /// Milliseconds, to the microsecond, from the moment the source had the frame until `now_ns` on the monotonic clock of
-    /// this machine; `None` where the frame carries no time of that.
+    /// Time in milliseconds, to the microsecond, from when the source had the frame until `now_ns` on the monotonic clock of this
+    /// machine; `None` if the frame has no such time.
     pub fn latency_ms(&self, now_ns: u64) -> Option<f64> {
         let elapsed_ns = now_ns.checked_sub(self.trace().first()?.received_ns)?;
         Some((elapsed_ns / 1000) as f64 / 1000.0)
     }
 
-    /// The stage that had the frame first: its camera.
+    /// The stage that had the frame first, which stands for its camera.
     pub fn origin(&self) -> Text<32> {
         self.trace().first().map_or_else(Text::default, |hop| hop.stage)
     }
@@ -204,12 +204,12 @@ impl Header {
         self.trace().last().map_or_else(Text::default, |hop| hop.stage)
     }
 
-    /// When that stage sent it, on the monotonic clock of this machine; 0 where no hop is recorded.
+    /// When the stage that wrote this message sent it, on the monotonic clock of this machine; 0 if no hop is recorded.
     pub fn sent_ns(&self) -> u64 {
         self.trace().last().map_or(0, |hop| hop.sent_ns)
     }
 
-    /// Records that a stage passed the message on; beyond [`MAX_HOPS`] nothing is recorded.
+    /// Records that a stage has passed the frame on; beyond [`MAX_HOPS`] nothing is recorded.
     pub fn add_hop(&mut self, hop: Hop) {
         if let Some(slot) = self.hops.get_mut(self.hop_count as usize) {
             *slot = hop;
@@ -217,10 +217,10 @@ impl Header {
         }
     }
 
-    /// Whether a header from another process makes sense.
+    /// Checks a header from another process.
     ///
     /// # Errors
-    /// What is wrong with it; `kind` names the message in the error.
+    /// The fault of the header; `kind` names the message in the error.
     pub fn check(&self, kind: &str) -> Result<(), Malformed> {
         let fault = |what: &str| Err(Malformed::new(kind, what));
         let camera = &self.camera;
@@ -262,8 +262,8 @@ impl Header {
     }
 }
 
-/// Whether the left 3x3 part of `[R | t]` is a rotation, up to the rounding of numbers that were written by hand: rows of
-/// length 1, perpendicular and right-handed. Stages invert it by transposing.
+/// Whether the left 3x3 part of `[R | t]` is a rotation, up to the rounding of hand-written numbers: its rows have length 1, are
+/// perpendicular and right-handed. Stages invert it by transposing.
 pub fn is_rotation(rows: &[[f64; 4]; 3]) -> bool {
     const TOLERANCE: f64 = 1e-3;
     let dot = |a: &[f64; 4], b: &[f64; 4]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];

@@ -1,4 +1,4 @@
-//! What an item of a message has to be to cross a process border, and how it looks in JSON.
+//! The requirements on items that cross a process border, and their form in JSON.
 
 use crate::Header;
 use bytemuck::{Pod, Zeroable};
@@ -7,27 +7,27 @@ use std::fmt;
 
 /// One item of a message: plain old data with a name and a version.
 ///
-/// A program of one's own can have item types of its own: it implements this, and the pipeline file describes the same
-/// layout under `[item.NAME]`, so that programs which do not know the type can check, show and carry it.
+/// A program from outside may define its own item types: it implements this trait, and the pipeline file describes the same
+/// layout under `[item.NAME]`, so that programs without the type can check, show and carry its items.
 pub trait Item: Pod + fmt::Debug + Send + Sync + 'static {
-    /// What a topic with such items carries: the word in the pipeline file, in JSON and in errors.
+    /// The word for a list of such items in the pipeline file, in JSON and in errors.
     const NAME: &'static str;
-    /// Name and version of the memory layout; two processes exchange items only if theirs are the same.
+    /// Name and version of the memory layout; two processes exchange items only if both have the same.
     const TYPE_NAME: &'static str;
-    /// Items of a message, which few exceed: room is made for as many.
+    /// A number of items that few messages exceed, for which memory is reserved.
     const USUAL_LENGTH: usize = 64;
-    /// Whether a message is an image: as many items as the header's camera has pixels.
+    /// Whether a message is an image, with one item per pixel of the header's camera.
     const IS_IMAGE: bool = false;
-    /// Whether items are counted by their [`Item::label`]; a run then also tells that there was none.
+    /// Whether items are counted by their [`Item::label`]; a run then also reports that there were none.
     const IS_COUNTED: bool = false;
 
-    /// Whether items that came from another process make sense: length, enum values, finite numbers.
+    /// Checks items that came from another process: their number, their enum values, and that numbers are finite.
     ///
     /// # Errors
-    /// What is wrong with the first faulty item.
+    /// The fault of the first faulty item.
     fn check(header: &Header, items: &[Self]) -> Result<(), Malformed>;
 
-    /// What the item is called when items are counted (`"sphere"`), if they are.
+    /// The name under which the item is counted (`"sphere"`), if it is.
     fn label(&self) -> Option<&'static str> {
         None
     }
@@ -35,10 +35,10 @@ pub trait Item: Pod + fmt::Debug + Send + Sync + 'static {
 
 /// An item that has a form in JSON.
 pub trait ToJson: Item {
-    /// The item as it is written, keys in order.
+    /// The JSON of an item, with keys in a fixed order.
     fn to_json(&self) -> impl Serialize;
 
-    /// What is written of a message: its list, or of an image a summary.
+    /// The JSON of a message: its list or, for an image, a summary.
     fn message_to_json(message: &Message<'_, Self>) -> impl Serialize {
         List(message.items)
     }
@@ -56,20 +56,20 @@ impl<T: ToJson> Serialize for List<'_, T> {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("malformed {kind}: {what}")]
 pub struct Malformed {
-    /// What the message should carry: [`Item::NAME`].
+    /// The expected content: [`Item::NAME`].
     pub kind: String,
-    /// What is wrong with it.
+    /// The fault.
     pub what: String,
 }
 
 impl Malformed {
-    /// A fault of a message that should carry `kind`.
+    /// A fault of a message of kind `kind`.
     pub fn new(kind: &str, what: impl Into<String>) -> Self {
         Self { kind: kind.to_owned(), what: what.into() }
     }
 }
 
-/// Looks for the first item that has a fault.
+/// Returns the fault of the first faulty item as an error.
 pub(crate) fn check_each<T: Item>(items: &[T], fault: impl Fn(&T) -> Option<&'static str>) -> Result<(), Malformed> {
     match items.iter().enumerate().find_map(|(index, item)| Some((index, fault(item)?))) {
         Some((index, fault)) => Err(Malformed::new(T::NAME, format!("item {index} {fault}"))),
@@ -92,7 +92,7 @@ impl Item for Nothing {
     }
 }
 
-/// A byte of an item whose type is known only when the program runs: the input of a stage that takes a list of any type.
+/// A byte of an item whose type is known only at run time: the input of a stage that reads lists of any type.
 #[repr(transparent)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable, PartialEq, Eq)]
 pub struct AnyByte(pub u8);
@@ -101,13 +101,13 @@ impl Item for AnyByte {
     const NAME: &'static str = "any list";
     const TYPE_NAME: &'static str = "conicflow.AnyByte.v1";
 
-    /// Whoever knows the type has checked them.
+    /// Accepts all bytes: the code that knows the type has checked them.
     fn check(_: &Header, _: &[Self]) -> Result<(), Malformed> {
         Ok(())
     }
 }
 
-/// A message as a stage reads it: borrowed from the memory where it was written.
+/// A message as a stage reads it, borrowed from the memory that it was written to.
 #[derive(Clone, Copy, Debug)]
 pub struct Message<'a, T> {
     /// Frame, camera and times.
@@ -116,7 +116,7 @@ pub struct Message<'a, T> {
     pub items: &'a [T],
 }
 
-/// All of `numbers` are finite.
+/// Whether all of `numbers` are finite.
 pub(crate) fn finite(numbers: &[f64]) -> bool {
     numbers.iter().all(|number| number.is_finite())
 }

@@ -1,4 +1,4 @@
-//! How messages look in JSON: the keys, their order, and which of them a shape has. Messages of ROS 2 have the same.
+//! The JSON of messages: the keys, their order, and which of them a shape has. ROS 2 messages have the same keys.
 
 use crate::{ABSENT, Ellipse, Fields, Header, Named, Object, ToJson, Track, Value};
 use serde::ser::SerializeMap;
@@ -10,7 +10,7 @@ impl<T: Named> ToJson for T {
     }
 }
 
-/// Without its moments.
+/// A selection of its fields, without the moments.
 impl ToJson for Ellipse {
     fn to_json(&self) -> impl Serialize {
         Fields(vec![
@@ -28,15 +28,15 @@ impl ToJson for Ellipse {
     }
 }
 
-/// One line of JSON: a message, with its content under the name of what it carries.
+/// One line of JSON: a message, with its content under the name of its item type.
 pub struct Line<'a, C> {
     /// The header of the message.
     pub header: &'a Header,
-    /// From the moment the source had the frame until now, if known.
+    /// Latency in milliseconds since the source had the frame, if known.
     pub latency_ms: Option<f64>,
-    /// What it carries: [`Item::NAME`](crate::Item::NAME).
+    /// The item type: [`Item::NAME`](crate::Item::NAME).
     pub kind: &'a str,
-    /// The list, or what stands for it: [`ToJson::message_to_json`].
+    /// The list, or a summary in its place: [`ToJson::message_to_json`].
     pub content: C,
 }
 
@@ -53,9 +53,9 @@ impl<C: Serialize> Serialize for Line<'_, C> {
     }
 }
 
-/// The key of what is below it: standard deviations.
+/// The key of the nested standard deviations.
 const SIGMA: &str = "sigma";
-/// Keys of a [`Line`] beside that of its content.
+/// Keys of a [`Line`] besides that of its content.
 pub const LINE_KEYS: [&str; 4] = ["sequence", "source", "stamp_ns", "latency_ms"];
 
 impl Named for Object {
@@ -65,7 +65,7 @@ impl Named for Object {
         let cone = |value| only_if(shape.has_half_angle(), value);
         let elongated = |value| only_if(shape.has_axis(), value);
         let vector_if = |is_there: bool, vector: [f64; 3]| Value::from(if is_there { vector } else { [ABSENT; 3] });
-        // `radius` of a cone belongs to its radius at `center`.
+        // `radius` is, for a cone, that at `center`.
         let sigma = vec![
             ("center", deviations(&sigma.center).into()),
             ("axis", elongated(sigma.axis)),
@@ -93,7 +93,7 @@ impl Named for Object {
     }
 }
 
-/// Of a track its object, its identity and its motion.
+/// The object, the identity and the motion of a track.
 impl Named for Track {
     fn fields(&self) -> Fields<'static> {
         let Fields(mut fields) = self.object.fields();

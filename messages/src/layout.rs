@@ -1,40 +1,40 @@
-//! The memory layout of item types that programs of one's own define, as the pipeline file describes them.
+//! The memory layout of item types that programs from outside define, as described in the pipeline file.
 //!
-//! A field is a name and a type: a number (`f64`, `u32`, ..), some of them (`f64[3]`), or UTF-8 text in so many bytes,
-//! padded with zeros (`text[32]`). Fields lie one behind the other as in a `#[repr(C)]` struct, each at a multiple of its
-//! alignment; where C would leave a hole the description is refused, because nobody writes the bytes of holes. What fills
-//! one is a field whose name begins with `_`, which is not shown.
+//! A field has a name and a type: a number (`f64`, `u32`, ..), an array of numbers (`f64[3]`), or UTF-8 text with a fixed number
+//! of bytes, padded with zeros (`text[32]`). Fields follow each other as in a `#[repr(C)]` struct, each aligned. A description
+//! for which C would insert padding is refused, because padding bytes are never written. A field whose name begins with `_` fills
+//! such a gap and is not shown.
 
 use crate::Malformed;
 use crate::value::{Element, Fields, Value};
 use bytemuck::pod_read_unaligned;
 use std::fmt::{self, Display, Formatter};
 
-/// Most bytes of an item: what is longer is no item of a list.
+/// Maximum size of an item in bytes.
 pub const MAX_ITEM_BYTES: usize = 64 * 1024;
-/// Most fields of an item.
+/// Maximum number of fields.
 const MAX_FIELDS: usize = 256;
-/// What the type of a text is called.
+/// The type name of text.
 const TEXT: &str = "text";
 
 /// One field of a [`Layout`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Field {
-    /// Its name.
+    /// The name of the field.
     pub name: String,
-    /// Its type, as it was written.
+    /// The type as written.
     pub type_text: String,
-    /// `None` where it is text.
+    /// The number type; `None` for text.
     element: Option<Element>,
-    /// Bytes of an element, which are also its alignment.
+    /// Size of an element in bytes, which is also its alignment.
     size: usize,
-    /// `None` where the field is one number.
+    /// Length of an array or text; `None` for a single number.
     count: Option<usize>,
-    /// Where it begins, in bytes.
+    /// Offset in bytes.
     at: usize,
 }
 
-/// The fields of an item, and where they lie.
+/// The fields of an item with their offsets.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Layout {
     fields: Vec<Field>,
@@ -42,23 +42,23 @@ pub struct Layout {
     align: usize,
 }
 
-/// Why fields are no layout.
+/// The reason why a list of fields is no layout.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{what}")]
 pub struct LayoutFault {
-    /// Number of the field that is at fault; the last where it is their sum.
+    /// Index of the faulty field; the last one if the fault is in all of them.
     pub field: usize,
-    /// What is wrong.
+    /// The fault.
     pub what: String,
     /// What to do about it.
     pub hint: String,
 }
 
 impl Layout {
-    /// The layout of fields, each a name and a type.
+    /// Builds the layout of fields, each a name and a type.
     ///
     /// # Errors
-    /// The first field with a name or type that cannot be, or behind which C would leave a hole.
+    /// The first field with an invalid name or type, or before or after which C would insert padding.
     pub fn new(fields: &[(String, String)]) -> Result<Self, LayoutFault> {
         let mut layout = Self { fields: Vec::new(), size: 0, align: 1 };
         for (index, (name, type_text)) in fields.iter().take(MAX_FIELDS + 1).enumerate() {
@@ -135,20 +135,20 @@ impl Layout {
         &self.fields
     }
 
-    /// Bytes of an item.
+    /// Size of an item in bytes.
     pub fn size(&self) -> usize {
         self.size
     }
 
-    /// What its place in memory is a multiple of.
+    /// Alignment of an item in bytes.
     pub fn align(&self) -> usize {
         self.align
     }
 
-    /// Whether items that came from another process make sense: whole items, of finite numbers and of text.
+    /// Checks items that came from another process: complete items, finite numbers and valid text.
     ///
     /// # Errors
-    /// What is wrong with the first faulty item; `kind` names the message in the error.
+    /// The fault of the first faulty item; `kind` names the message in the error.
     pub fn check(&self, kind: &str, bytes: &[u8]) -> Result<(), Malformed> {
         if !bytes.len().is_multiple_of(self.size) {
             let what = format!("{} bytes, an item has {}", bytes.len(), self.size);
@@ -163,7 +163,7 @@ impl Layout {
         Ok(())
     }
 
-    /// What each of the items in `bytes` has, without the fields that fill holes.
+    /// Returns the fields of each item in `bytes`, without those that fill gaps.
     pub fn items<'a>(&'a self, bytes: &'a [u8]) -> Vec<Fields<'a>> {
         let shown = || self.fields.iter().filter(|field| !field.name.starts_with('_'));
         let item = |item| Fields(shown().map(|field| (field.name.as_str(), field.value(item))).collect());
@@ -180,7 +180,7 @@ impl Display for Layout {
     }
 }
 
-/// The meaning of `f64`, `f64[3]` or `text[32]`.
+/// Parses a type such as `f64`, `f64[3]` or `text[32]`.
 fn parse(text: &str) -> Option<(Option<Element>, usize, Option<usize>)> {
     let (name, count) = match text.split_once('[') {
         Some((name, rest)) => {
@@ -220,7 +220,7 @@ impl Field {
     }
 }
 
-/// Text up to the first zero byte.
+/// Returns the text up to the first zero byte, if it is UTF-8.
 fn text(bytes: &[u8]) -> Option<&str> {
     let length = bytes.iter().position(|&byte| byte == 0).unwrap_or(bytes.len());
     std::str::from_utf8(&bytes[..length]).ok()

@@ -1,10 +1,9 @@
-//! What travels between stages: one fixed [`Header`] and a flat slice of items.
+//! The messages between stages: one fixed [`Header`] and a flat slice of items.
 //!
-//! In the order in which a frame meets them these are depth images (`u16` pixels), [`Ellipse`] lists, [`Object`] lists,
-//! [`Track`] lists and [`Velocity`] commands; programs may have further types of their own ([`Layout`]). All of them are
-//! plain old data with an explicit, versioned type name, so that they can be written and read in place in shared memory by
-//! processes that were built apart. Whatever arrives from another process is checked by [`Item::check`] before a stage sees
-//! it.
+//! In the order of processing, the items are depth images (`u16` pixels), [`Ellipse`] lists, [`Object`] lists, [`Track`] lists
+//! and [`Velocity`] commands; programs may define further types ([`Layout`]). All of them are plain old data with an explicit,
+//! versioned type name, so that separately built processes can write and read them in place in shared memory. [`Item::check`]
+//! checks everything that comes from another process before a stage sees it.
 //!
 //! Units are SI: metres, radians, seconds; times in nanoseconds. The camera frame is the optical frame:
 //! x right, y down, z forward.

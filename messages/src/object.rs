@@ -5,7 +5,7 @@ use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::FRAC_PI_2;
 
-/// How far the square of an axis may be from 1: numbers that were written by hand are rounded.
+/// How far the squared length of an axis may be from 1, because hand-written numbers are rounded.
 const UNIT_TOLERANCE: f64 = 1e-3;
 
 /// The shapes.
@@ -22,7 +22,7 @@ pub enum ObjectKind {
 coded!(ObjectKind: Sphere = 0 "sphere", Cylinder = 1 "cylinder", Cone = 2 "cone");
 
 impl ObjectKind {
-    /// Whether it has an axis, and a length along that.
+    /// Whether it has an axis, and a length along it.
     pub const fn has_axis(self) -> bool {
         match self {
             Self::Sphere => false,
@@ -30,7 +30,7 @@ impl ObjectKind {
         }
     }
 
-    /// Whether it has a half-angle, with an apex and a radius at either end; its axis has a sense then.
+    /// Whether it has a half-angle, an apex and a radius at either end; the sign of its axis then has a meaning.
     pub const fn has_half_angle(self) -> bool {
         match self {
             Self::Sphere | Self::Cylinder => false,
@@ -39,7 +39,7 @@ impl ObjectKind {
     }
 }
 
-/// A sphere, cylinder or cone in the camera frame; what a shape does not have is zero.
+/// A sphere, cylinder or cone in the camera frame; parameters that a shape lacks are zero.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq, Serialize, Deserialize)]
 pub struct Object {
@@ -49,16 +49,16 @@ pub struct Object {
     pub points: u32,
     /// Number of scan lines that support it.
     pub rows: u32,
-    /// Probability that it is an object of this shape; 0 where the method does not tell.
+    /// Probability that it is an object of this shape; 0 if the method does not estimate it.
     pub confidence: f32,
-    /// Centre of a sphere; of a cylinder or cone the middle of its visible part, on the axis. Metres.
+    /// Centre of a sphere, or the middle of the visible part of a cylinder or cone, on the axis, in metres.
     pub center: [f64; 3],
-    /// Unit vector along the axis, of a cone from the apex to the base.
+    /// Unit vector along the axis; for a cone from the apex to the base.
     pub axis: [f64; 3],
-    /// Radius in metres; of a cone at `center`.
+    /// Radius in metres; for a cone at `center`.
     pub radius: f64,
-    /// Length of the visible part along the axis, in metres. Of a cone it lacks what is so narrow that no lines show it: a radius
-    /// below about six pixels.
+    /// Length of the visible part along the axis, in metres. For a cone it excludes the part that is too narrow to be seen in
+    /// lines: a radius below about six pixels.
     pub length: f64,
     /// Half-angle of a cone in radians.
     pub half_angle: f64,
@@ -70,19 +70,19 @@ pub struct Object {
     pub apex: [f64; 3],
     /// Standard deviations.
     pub sigma: ObjectSigma,
-    /// Root mean square distance of the points from the surface, in metres.
+    /// Root mean square distance of the points from the surface in excess of the noise, in metres; 0 if noise explains it.
     pub rms: f64,
     /// Visible part of the circumference, in radians.
     pub arc: f64,
 }
 
-/// Standard deviations of an [`Object`]; zero where the shape has no such parameter.
+/// Standard deviations of an [`Object`]; zero for parameters that a shape lacks.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq, Serialize, Deserialize)]
 pub struct ObjectSigma {
     /// Covariance of the centre, row-major, in square metres.
     pub center: [[f64; 3]; 3],
-    /// Root mean square of the angle between the axis and the true one, in radians.
+    /// Root mean square of the angle between the estimated and the true axis, in radians.
     pub axis: f64,
     /// Of the radius, in metres.
     pub radius: f64,
@@ -93,12 +93,12 @@ pub struct ObjectSigma {
 }
 
 impl Object {
-    /// The shape; a code that stands for none is refused at the border, by [`Item::check`].
+    /// The shape; [`Item::check`] has refused unknown codes.
     pub fn shape(&self) -> ObjectKind {
         ObjectKind::from_code(self.kind).unwrap_or(ObjectKind::Sphere)
     }
 
-    /// What is wrong with an object from another process, if anything.
+    /// Returns the fault of an object from another process, if there is one.
     pub(crate) fn fault(&self) -> Option<&'static str> {
         let sigma = &self.sigma;
         let numbers = finite(&self.center)
@@ -124,7 +124,7 @@ impl Object {
         }
     }
 
-    /// A unit vector; of a sphere none.
+    /// Whether the axis is a unit vector, or zero for a sphere.
     fn has_fitting_axis(&self) -> bool {
         let square: f64 = self.axis.iter().map(|number| number * number).sum();
         if self.shape().has_axis() { (square - 1.0).abs() <= UNIT_TOLERANCE } else { square == 0.0 }

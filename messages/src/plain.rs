@@ -1,17 +1,17 @@
-//! Text for a terminal or a log. What came from outside, such as the name of a file, must not steer a terminal, pass for a
-//! line of its own, or fill a screen; so all that tells errors, or logs, passes through here.
+//! Safe text for a terminal or a log. Text from outside, such as a file name, must not control a terminal, look like a separate
+//! line, or fill a screen; so all errors and logs pass through here.
 
 use std::fmt::Write;
 
-/// A line that is longer than this, in characters, is shown by its beginning and its end. None of ours is.
+/// A longer line, in characters, is shortened to its beginning and its end. None of our own lines is that long.
 const LONGEST_LINE: usize = 1000;
-/// How much of its end is shown then: that says what is wrong.
+/// Length of the end that is shown: the end says what is wrong.
 const END: usize = 300;
-/// What begins a further line of the same message.
+/// Separates the lines of one message.
 const FURTHER_LINE: &str = "\n  ";
 
-/// A text as it can be shown: control characters are written out, and lines are no longer than a message's. A line feed stays
-/// where spaces follow, by which one sees that the line goes on.
+/// Makes a text safe to print: escapes control characters and shortens long lines. A line feed stays if spaces follow, which show
+/// that the message goes on.
 pub fn plain(text: &str) -> String {
     let mut shown = String::with_capacity(text.len().min(2 * LONGEST_LINE));
     for (index, line) in text.split(FURTHER_LINE).enumerate() {
@@ -38,7 +38,7 @@ fn push_written_out(shown: &mut String, text: &str) {
     }
 }
 
-/// Whether a terminal only shows a letter, in the order in which it stands.
+/// Whether a terminal prints a letter without side effects on its state or on the order of letters.
 pub fn is_harmless(letter: char) -> bool {
     let turns = matches!(letter, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}' | '\u{2028}' | '\u{2029}');
     letter == '\t' || !(letter.is_control() || turns)

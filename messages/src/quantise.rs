@@ -1,15 +1,15 @@
-//! Depths in metres as whole units of 16 bits, in which depth images travel.
+//! Conversion of depths in metres to 16-bit units, in which depth images travel.
 
 use crate::{INVALID_FAR, INVALID_NEAR};
 
-/// Metres per unit: a tenth of a millimetre, which is finer than any sensor and reaches to 6.5 m; and where that does not
-/// reach, a quarter of a millimetre, to 16.38 m.
+/// Metres per unit: a tenth of a millimetre, which is finer than any sensor and reaches to 6.5 m; for larger depths a quarter of
+/// a millimetre, which reaches to 16.38 m.
 const SCALES: [f64; 2] = [0.0001, COARSEST_SCALE];
-/// The coarsest of them.
+/// The coarser scale.
 pub const COARSEST_SCALE: f64 = 0.000_25;
 
-/// The finest scale (metres per unit) that holds the largest of some depths, or the coarsest. A depth of `z` is `z *
-/// metres_per_z` metres.
+/// Returns the finest scale (metres per unit) that holds the largest of these depths, or else the coarsest.
+/// `metres_per_z` is the unit of `depths`.
 pub fn finest_scale(depths: &[f32], metres_per_z: f64) -> f64 {
     let metres = depths.iter().map(|&z| f64::from(z) * metres_per_z).filter(|z| z.is_finite());
     let largest = metres.fold(0.0, f64::max);
@@ -17,13 +17,13 @@ pub fn finest_scale(depths: &[f32], metres_per_z: f64) -> f64 {
     if largest / fine < f64::from(INVALID_FAR) - 0.5 { fine } else { coarse }
 }
 
-/// A depth in units; 0, for no measurement, where it is less than one unit, more than there are, or not a number.
+/// Converts a depth to units; returns 0, no measurement, if it is below one unit, out of range, or not a number.
 pub fn quantise(z: f32, units_per_z: f64) -> u16 {
     let units = f64::from(z) * units_per_z + 0.5;
     if units >= 1.0 && units < f64::from(INVALID_FAR) { units as u16 } else { INVALID_NEAR }
 }
 
-/// Whether a depth is more units than there are.
+/// Whether a depth exceeds the range of the units.
 pub fn is_too_far(z: f32, units_per_z: f64) -> bool {
     let units = f64::from(z) * units_per_z + 0.5;
     units.is_finite() && units >= f64::from(INVALID_FAR)

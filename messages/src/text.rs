@@ -4,7 +4,7 @@ use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de, ser};
 use std::fmt;
 
-/// UTF-8 text of at most `N` bytes; what is longer is cut at a character boundary.
+/// UTF-8 text of at most `N` bytes; longer text is cut at a character boundary.
 #[repr(transparent)]
 #[derive(Clone, Copy, Pod, Zeroable, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Text<const N: usize>([u8; N]);

@@ -4,14 +4,14 @@ use crate::{Header, Item, Malformed, Object, coded::coded, item::check_each, ite
 use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
 
-/// How far a track is to be trusted.
+/// The state of a track in its life cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TrackState {
-    /// Seen too few times to be sure of it.
+    /// Seen too few times to be certain.
     Tentative,
-    /// Seen often enough, and in the last frame of the camera that saw it last.
+    /// Seen often enough, and in the last frame of the camera that last saw it.
     Confirmed,
-    /// Confirmed before, not seen in that frame; its state is a prediction.
+    /// Confirmed before, but not seen in that frame; its state is a prediction.
     Coasting,
 }
 
@@ -21,17 +21,17 @@ coded!(TrackState: Tentative = 0 "tentative", Confirmed = 1 "confirmed", Coastin
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq, Serialize, Deserialize)]
 pub struct Track {
-    /// Identity: the same from the first sight to the last, never used again.
+    /// Identity: constant during the life of the track, never reused.
     pub id: u64,
     /// [`TrackState::code`].
     pub state: u32,
-    /// Frames since its first sight; those of other cameras count only where they saw it.
+    /// Frames since it was first seen; those of other cameras count only if they saw it.
     pub age: u32,
-    /// Frames since it was last seen, of the camera that saw it last.
+    /// Frames since it was last seen, of the camera that last saw it.
     pub misses: u32,
-    /// Zero; keeps the layout free of holes.
+    /// Zero; fills the padding.
     pub reserved: u32,
-    /// Its filtered shape, with standard deviations.
+    /// The filtered shape, with standard deviations.
     pub object: Object,
     /// Velocity of the centre in metres per second.
     pub velocity: [f64; 3],
@@ -40,7 +40,7 @@ pub struct Track {
 }
 
 impl Track {
-    /// How far it is to be trusted; a code that stands for nothing is refused at the border, by [`Item::check`].
+    /// Its state; [`Item::check`] has refused unknown codes.
     pub fn track_state(&self) -> TrackState {
         TrackState::from_code(self.state).unwrap_or(TrackState::Tentative)
     }

@@ -1,14 +1,14 @@
-//! What an item is by name: from one list of names and values follow its JSON and its message of ROS 2.
+//! The fields of an item, as names and values, from which its JSON and its ROS 2 message are derived.
 
 use crate::Item;
 use bytemuck::{bytes_of, pod_read_unaligned};
 use serde::{Serialize, Serializer};
 use std::borrow::Cow;
 
-/// Stands for a number that this item does not have, though others of its type do. JSON leaves it out.
+/// Marks a number that this item lacks, though others of its type have it. JSON omits it.
 pub const ABSENT: f64 = f64::NAN;
 
-/// A kind of numbers.
+/// The type of a number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Element {
     /// Unsigned, 8 bits.
@@ -34,7 +34,7 @@ pub enum Element {
 }
 
 impl Element {
-    /// All of them, with their names and their sizes in bytes.
+    /// All number types, with their names and their sizes in bytes.
     pub const ALL: [(&'static str, Self, usize); 10] = [
         ("u8", Self::U8, 1),
         ("u16", Self::U16, 2),
@@ -48,37 +48,37 @@ impl Element {
         ("f64", Self::F64, 8),
     ];
 
-    /// Its size in bytes.
+    /// The size in bytes.
     pub fn size(self) -> usize {
         Self::ALL[self as usize].2
     }
 }
 
-/// A value.
+/// The value of a field.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Value<'a> {
     /// A text.
     Text(&'a str),
-    /// One number, or a fixed number of them, as they lie in memory.
+    /// A number, or an array of numbers, as in memory.
     Numbers {
-        /// What they are.
+        /// The type of the numbers.
         element: Element,
-        /// Whether they are a list, which may have but one.
+        /// Whether it is an array, which may have a single number.
         is_list: bool,
         /// The numbers.
         bytes: Cow<'a, [u8]>,
     },
-    /// Values below this one's name.
+    /// Nested fields.
     Below(Fields<'a>),
 }
 
-/// Names and values, in order; they are the same for all items of a type.
+/// Names and values in order; the names are the same for all items of a type.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fields<'a>(pub Vec<(&'a str, Value<'a>)>);
 
-/// An item that tells all it has by name.
+/// An item that can list its fields.
 pub trait Named: Item {
-    /// What it has.
+    /// Returns the fields.
     fn fields(&self) -> Fields<'static>;
 }
 

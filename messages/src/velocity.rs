@@ -1,21 +1,21 @@
-//! Velocity commands: how a robot, or a camera, is to move from now on.
+//! Velocity commands: how a robot or a camera is to move from now on.
 
 use crate::{Fields, Header, Item, Malformed, Named, coded::coded, item::check_each, item::finite};
 use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
 
-/// Along which axes a velocity is told.
+/// The coordinate frame of a velocity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Frame {
     /// The camera's: x right, y down, z forward.
     Camera,
-    /// The world's, in which [`Header::pose`] tells where the camera is.
+    /// The world, in which [`Header::pose`] gives the camera's pose.
     World,
 }
 
 coded!(Frame: Camera = 0 "camera", World = 1 "world");
 
-/// The velocity that is to be taken. A message carries one; none: stand still.
+/// The commanded velocity. A message has one item; an empty message means: stand still.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable, PartialEq, Serialize, Deserialize)]
 pub struct Velocity {
@@ -25,12 +25,12 @@ pub struct Velocity {
     pub angular: [f64; 3],
     /// [`Frame::code`].
     pub frame: u32,
-    /// Zero; keeps the layout free of holes.
+    /// Zero; fills the padding.
     pub reserved: u32,
 }
 
 impl Velocity {
-    /// Along which axes it is told; a code that stands for none is refused at the border, by [`Item::check`].
+    /// Its coordinate frame; [`Item::check`] has refused unknown codes.
     pub fn frame(&self) -> Frame {
         Frame::from_code(self.frame).unwrap_or(Frame::Camera)
     }

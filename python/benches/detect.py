@@ -1,4 +1,4 @@
-"""How long `conicflow.detect` takes on arrays, beside the detector in Rust on the same frames, in turns.
+"""The time of `conicflow.detect` on arrays, beside that of the detector in Rust on the same frames, measured alternately.
 
     cargo build --release --examples --manifest-path python/Cargo.toml
     python3 python/benches/detect.py python/target/release/examples/detect

@@ -1,6 +1,6 @@
-//! What `benches/detect.py` compares with: the time of the detector in Rust on the same frames, in milliseconds.
+//! The reference for `benches/detect.py`: the time of the detector in Rust on the same frames, in milliseconds.
 //!
-//! Arguments: a file of raw 16-bit pixels, width, height, fx, fy, cx, cy, and how many times the frames are looked at.
+//! Arguments: a file of raw 16-bit pixels, width, height, fx, fy, cx, cy, and the number of rounds.
 
 use conicflow_detection::{Camera, Detector};
 use std::error::Error;

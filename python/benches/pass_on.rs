@@ -1,4 +1,4 @@
-//! What `benches/stage.py` compares with: a stage in Rust that looks at one pixel of each depth image and sends an empty list.
+//! The reference for `benches/stage.py`: a stage in Rust that reads one pixel of each depth image and sends an empty list.
 
 use conicflow_dataflow::{Context, NoConfig, Output, SideInputs, Stage, StageError, run_stage};
 use conicflow_messages::{Message, Object};

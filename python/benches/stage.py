@@ -1,4 +1,4 @@
-"""How long a depth image takes through a stage in Python, beside a stage in Rust that does the same, in turns.
+"""The time of a depth image through a stage in Python, beside that of the same stage in Rust, measured alternately.
 
     cargo build --release --examples --manifest-path python/Cargo.toml
     python3 python/benches/stage.py target/release/conicflow python/target/release/examples/pass_on

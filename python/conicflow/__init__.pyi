@@ -8,7 +8,7 @@ __version__: str
 __all__: list[str]
 
 _Depth = Union[npt.NDArray[np.uint16], npt.NDArray[np.float32]]
-"""Rows and columns: `uint16` in units of the scale, 0 and 65535 not measured; or `float32` in metres, NaN not measured."""
+"""Rows and columns: `uint16` in units of the scale, 0 and 65535: no measurement; or `float32` in metres, NaN: no measurement."""
 
 _Camera = Union[
     tuple[float, float, float, float], Sequence[float], Sequence[Sequence[float]], npt.NDArray[Union[np.floating[Any], np.integer[Any]]]
@@ -26,16 +26,16 @@ _Matrix = npt.NDArray[np.float64]
 """A covariance, 3x3."""
 
 class _Sigma:
-    """Standard deviations; `None` where the shape has no such parameter."""
+    """Standard deviations; `None` for parameters that the shape lacks."""
 
     center: _Vector
     """Of the centre along x, y and z, in metres."""
     axis: Optional[float]
-    """Of the angle between the axis and the true one, in radians; `None` for a sphere."""
+    """Of the angle between the estimated and the true axis, in radians; `None` for a sphere."""
     half_angle: Optional[float]
     """In radians; of a cone."""
     radius: float
-    """In metres; of a cone that of its radius at `center`."""
+    """In metres; for a cone that of its radius at `center`."""
     length: Optional[float]
     """In metres; `None` for a sphere."""
 
@@ -47,7 +47,7 @@ class Record:
     """One item of a message. Its attributes are the keys that `json_sink` writes."""
 
     def to_dict(self) -> dict[str, Any]:
-        """What `json_sink` writes for this item, to the last digit."""
+        """The item as `json_sink` writes it, to the last digit."""
     def __getattr__(self, name: str) -> Any: ...
     def __eq__(self, other: object) -> bool: ...
     def __hash__(self) -> int: ...
@@ -57,11 +57,11 @@ class _Shape(Record):
     kind: Literal["sphere", "cylinder", "cone"]
     """In arrays 0, 1 or 2."""
     center: _Vector
-    """In metres; of a cylinder or cone the middle of its visible part, on the axis."""
+    """In metres; for a cylinder or cone the middle of the visible part, on the axis."""
     apex: Optional[_Vector]
     """In metres; of a cone."""
     axis: Optional[_Vector]
-    """Unit vector, of a cone from the apex to the base; `None` for a sphere."""
+    """Unit vector; for a cone from the apex to the base; `None` for a sphere."""
     half_angle: Optional[float]
     """In radians; of a cone."""
     radius: Optional[float]
@@ -77,7 +77,7 @@ class _Shape(Record):
     def covariance(self) -> _Matrix:
         """Of the centre, in square metres."""
     rms: float
-    """Root mean square distance of the points from the surface beyond what noise explains, in metres."""
+    """Root mean square distance of the points from the surface in excess of the noise, in metres."""
     points: int
     """Measurements that support it."""
     rows: int
@@ -85,11 +85,11 @@ class _Shape(Record):
     arc: float
     """Visible circumference, in radians."""
     confidence: Optional[float]
-    """Probability that it is an object of this shape; `None` where the method does not tell."""
+    """Probability that it is an object of this shape; `None` if the method does not estimate it."""
 
 @final
 class Object(_Shape):
-    """A sphere, cylinder or cone in the camera frame; `None` is what another shape has."""
+    """A sphere, cylinder or cone in the camera frame; attributes that only other shapes have are `None`."""
 
 @final
 class Track(_Shape):
@@ -103,7 +103,7 @@ class Track(_Shape):
     def velocity_covariance(self) -> _Matrix:
         """In square metres per square second."""
     age: int
-    """Frames since its first sight."""
+    """Frames since it was first seen."""
     misses: int
     """Frames since it was last seen."""
     state: Literal["tentative", "confirmed", "coasting"]
@@ -132,7 +132,7 @@ class Ellipse(Record):
 
 @final
 class Velocity(Record):
-    """A velocity that is to be taken."""
+    """A velocity command."""
 
     linear: _Vector
     """In metres per second."""
@@ -142,7 +142,7 @@ class Velocity(Record):
     """In arrays 0 or 1."""
 
 def detect(depth: _Depth, camera: _Camera, scale: float = 0.001, noise: Optional[_Noise] = None) -> list[Object]:
-    """Spheres, cylinders and cones in one depth image, in the camera frame."""
+    """Finds spheres, cylinders and cones in one depth image, in the camera frame."""
 
 @final
 class Detector:
@@ -175,35 +175,35 @@ class Tracker:
         world_from_camera: Optional[npt.ArrayLike] = None,
         camera: int = 0,
     ) -> list[Track]:
-        """The tracks that are alive after a frame; `stamp_ns` is in nanoseconds."""
+        """Updates the tracks with the objects of a frame; returns the tracks that are alive. `stamp_ns` is in nanoseconds."""
 
 def dtype(kind: Literal["depth", "ellipses", "objects", "tracks", "velocities"]) -> np.dtype[Any]:
     """The layout of items, for `numpy.zeros(n, dtype=..)`."""
 
 def array(kind: Literal["ellipses", "objects", "tracks", "velocities"], records: Iterable[Record]) -> npt.NDArray[Any]:
-    """Records as a NumPy array of `dtype(kind)`, which can be written."""
+    """Converts records to a writable NumPy array of `dtype(kind)`."""
 
 @final
 class Message:
-    """One message of a topic: when and by which camera its frame was taken, and its items."""
+    """One message of a topic: the time and the camera of its frame, and its items."""
 
     @property
     def topic(self) -> str: ...
     @property
     def kind(self) -> str:
-        """What the topic carries: "depth", "objects", .."""
+        """The item type: "depth", "objects", .."""
     @property
     def sequence(self) -> int:
         """Number of the frame."""
     @property
     def stamp_ns(self) -> int:
-        """When the frame was taken, in nanoseconds."""
+        """Time of capture in nanoseconds."""
     @property
     def source(self) -> str:
         """Name of the frame's file, or of its source."""
     @property
     def latency_ms(self) -> Optional[float]:
-        """From the moment the source had the frame until the message came."""
+        """Time from when the source had the frame until the message came, in milliseconds; `None` if unknown."""
     @property
     def camera(self) -> tuple[float, float, float, float]:
         """`(fx, fy, cx, cy)` in pixels."""
@@ -220,38 +220,38 @@ class Message:
         """The camera's pose, three rows of `[R | t]`, in metres."""
     @property
     def inputs(self) -> dict[str, "Message"]:
-        """Of a message that drives a stage: what goes with it, by the names of the further inputs; each may be missing."""
+        """For a message that drives a stage: the matching messages of the further inputs, by input name; each may be missing."""
     @property
     def items(self) -> list[Any]:
         """Records: `Object`, `Track`, `Ellipse`, `Velocity`, or `Record` for a type of the pipeline file."""
     @property
     def array(self) -> npt.NDArray[Any]:
-        """The items as an array of their layout, which cannot be written."""
+        """The items as a read-only array with their layout."""
     @property
     def image(self) -> npt.NDArray[np.uint16]:
-        """A depth image in units of `scale`, lent by shared memory: it is not copied and cannot be written.
+        """A depth image in units of `scale`, lent by shared memory: it is not copied, and read-only.
 
-        It is lent to this process alone: give a child that is forked, such as by `multiprocessing`, `message.image.copy()`.
+        It is lent to this process only: give a forked child, such as one of `multiprocessing`, `message.image.copy()`.
         """
     def to_dict(self) -> dict[str, Any]:
         """The line that `json_sink` writes."""
     def __len__(self) -> int: ...
     def __bool__(self) -> Literal[True]:
-        """A message is one also where it has no items."""
+        """A message is true even without items."""
 
 @final
 class Reader:
-    """Messages of topics of a running pipeline, until the run is over."""
+    """An iterator over the messages of topics of a running pipeline, until the run is over."""
 
     def __iter__(self) -> Iterator[Message]: ...
     def __next__(self) -> Message: ...
     def __enter__(self) -> "Reader": ...
     def __exit__(self, *exception: object) -> None: ...
     def close(self) -> None:
-        """Leaves; messages that were received stay."""
+        """Stops reading; received messages stay valid."""
 
 def read(*topics: str, pipeline: Optional[str] = None) -> Reader:
-    """Messages of topics of a pipeline that runs on this machine, as an onlooker for whom no writer waits."""
+    """Reads the messages of topics of a pipeline that runs on this machine, as an onlooker for whom no writer waits."""
 
 _Items = Union[Iterable[Record], npt.NDArray[Any], Message]
 
@@ -261,16 +261,16 @@ class _Joined:
         """Name of the stage in the pipeline file."""
     @property
     def parameters(self) -> dict[str, Any]:
-        """All keys of its table in the pipeline file that are not conicflow's own."""
+        """All keys of its table in the pipeline file that are not reserved."""
     @property
     def base(self) -> str:
         """Folder of the pipeline file."""
     @property
     def resume_at(self) -> int:
-        """Messages that were taken (of a source: sent) before it was started anew in the same run; 0 at first."""
+        """Number of messages that it had taken (a source: sent) before it was restarted in the same run; 0 at first."""
     @property
     def stopping(self) -> bool:
-        """Whether the run is to end; who asks gives a sign of life."""
+        """Whether the run is to end; asking also shows that the stage is alive."""
     @property
     def dtype(self) -> Optional[np.dtype[Any]]:
         """The layout of the items that it sends."""
@@ -288,7 +288,7 @@ class _Joined:
         sequence: Optional[int] = None,
         world_from_camera: Optional[npt.ArrayLike] = None,
     ) -> None:
-        """Sends a message; waits where a reader must not miss one and has no room."""
+        """Sends a message; waits while a lossless reader has no room."""
 
 @final
 class Stage(_Joined):
@@ -305,7 +305,7 @@ class Source(_Joined):
 
     @property
     def counted(self) -> dict[str, int]:
-        """What it had counted before it was started anew."""
+        """The counters before it was restarted."""
     @property
     def inputs(self) -> dict[str, Message]:
         """The latest messages of the further inputs."""
@@ -315,7 +315,7 @@ class Source(_Joined):
     def __exit__(self, *exception: object) -> None: ...
 
 def stage(*, same_frame: Sequence[str] = ()) -> Stage:
-    """Takes the place of the stage in whose `program` this process was started."""
+    """Joins the run as the stage whose `program` was started as this process."""
 
 def source(*, total: Optional[int] = None) -> Source:
-    """Takes the place of the source in whose `program` this process was started."""
+    """Joins the run as the source whose `program` was started as this process."""

@@ -1,3 +1,3 @@
-"""The compiled part; what is for everybody is typed in `__init__.pyi`."""
+"""The compiled part; the public part of it is typed in `__init__.pyi`."""
 
 def log(level: str, text: str) -> None: ...

@@ -1,4 +1,4 @@
-"""A source of a pipeline: plays depth images that NumPy saved, an array of (frames, rows, columns) of uint16 or float32.
+"""A source of a pipeline: plays depth images from a NumPy file, an array of (frames, rows, columns) of uint16 or float32.
 
     [stage.camera]
     program = ["python3", "replay.py"]
@@ -7,7 +7,7 @@
     camera  = [525.0, 525.0, 319.5, 239.5]
     rate_hz = 30
 
-A camera is read in the same way: open it before the loop, and send what it gives.
+A camera works in the same way: open it before the loop, and send its images.
 """
 
 from pathlib import Path

@@ -26,7 +26,7 @@ pipeline = subprocess.Popen([program, "run", "--quiet", "--for", "20s"], stdout=
 
 
 def topic(name):
-    """The messages of a topic, as soon as the pipeline runs and as long as it does."""
+    """Yields the messages of a topic while the pipeline runs; waits for it to start."""
     while pipeline.poll() is None:
         try:
             yield from conicflow.read(name)
@@ -36,7 +36,7 @@ def topic(name):
 
 # %% [markdown]
 # ## One frame
-# `message.image` lies in shared memory, where the camera wrote it. `detect` gives what the pipeline finds.
+# `message.image` is in shared memory, where the camera wrote it. `detect` gives the same results as the pipeline.
 
 # %%
 message = next(topic("depth"))
@@ -47,7 +47,7 @@ for each in objects:
 
 # %% [markdown]
 # ## Draw the objects
-# A shape is drawn by the circles at its ends, or around its middle, as the camera sees them.
+# A shape is drawn as the circles at its ends, or around its middle, projected into the image.
 
 
 # %%
@@ -63,7 +63,7 @@ def circle(center, axis, radius, camera):
 
 
 def circles(each, camera):
-    """The circles by which a shape is drawn."""
+    """Returns the circles that represent a shape."""
     if each.kind == "sphere":
         return [circle(each.center, each.center, each.radius, camera)]
     center, half = np.asarray(each.center), np.asarray(each.axis) * each.length / 2
@@ -93,7 +93,7 @@ del message, depth
 
 # %% [markdown]
 # ## Follow them
-# Tracks have an identity and a velocity. As structured arrays they need no loop.
+# Tracks have an identity and a velocity. Structured arrays need no loop over tracks.
 
 # %%
 paths = {}

@@ -1,16 +1,16 @@
-//! Arguments that are numbers or words: what came, what was expected, and how to get that from what came.
+//! Conversion of numbers and words, with errors that say what came, what was expected, and how to convert it.
 
 use crate::fault;
 use pyo3::prelude::*;
 use pyo3::types::PyString;
 
-/// Where a number of nanoseconds comes from.
+/// The hint for a time in nanoseconds.
 const STAMP: &str = "of seconds give round(seconds * 1e9), of a stamp of ROS stamp.sec * 10**9 + stamp.nanosec";
 
-/// What stands in errors at most of what came, in characters.
+/// Maximum length of a value in an error, in characters.
 const MOST_SHOWN: usize = 80;
 
-/// What came, as an error shows it.
+/// Describes a given value for an error.
 pub(crate) fn came(given: &Bound<'_, PyAny>) -> String {
     let kind = given.get_type().name().map_or_else(|_| String::new(), |name| name.to_string());
     let text = given.repr().map_or_else(|_| String::new(), |text| text.to_string());
@@ -27,7 +27,7 @@ pub(crate) fn came(given: &Bound<'_, PyAny>) -> String {
     }
 }
 
-/// A whole number from 0 to `most`.
+/// Converts an integer from 0 to `most`.
 pub(crate) fn whole(name: &str, given: &Bound<'_, PyAny>, most: u64, hint: &str) -> PyResult<u64> {
     if let Ok(number) = given.extract::<u64>()
         && number <= most
@@ -39,7 +39,7 @@ pub(crate) fn whole(name: &str, given: &Bound<'_, PyAny>, most: u64, hint: &str)
     Err(if is_whole { fault::value(what, hint) } else { fault::kind(what, hint) })
 }
 
-/// A time in nanoseconds.
+/// Converts a time in nanoseconds.
 pub(crate) fn stamp_ns(given: &Bound<'_, PyAny>) -> PyResult<u64> {
     let hint = [
         ("nanosec", "give stamp.sec * 10**9 + stamp.nanosec"),
@@ -52,12 +52,12 @@ pub(crate) fn stamp_ns(given: &Bound<'_, PyAny>) -> PyResult<u64> {
     whole("stamp_ns", given, u64::MAX, hint.unwrap_or(STAMP))
 }
 
-/// A number.
+/// Converts a number.
 pub(crate) fn number(name: &str, given: &Bound<'_, PyAny>, hint: &str) -> PyResult<f64> {
     given.extract().map_err(|_| fault::kind(format!("`{name}` is {}, expected a number", came(given)), hint))
 }
 
-/// A word.
+/// Converts a word.
 pub(crate) fn word(name: &str, given: &Bound<'_, PyAny>, hint: &str) -> PyResult<String> {
     let word = given.cast::<PyString>().map(|word| word.to_string());
     word.map_err(|_| fault::kind(format!("`{name}` is {}, expected a str", came(given)), hint))

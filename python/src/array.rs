@@ -1,6 +1,6 @@
-//! NumPy arrays of messages: images and lists as they lie in memory, which cannot be written, and the layout of items.
+//! NumPy arrays of messages: read-only views of images and lists in memory, and the layouts of items.
 
-#![allow(unsafe_code)] // NumPy is lent memory that belongs to a Python object
+#![allow(unsafe_code)] // NumPy borrows memory of a Python object
 
 use crate::fault;
 use crate::message::Message;
@@ -14,8 +14,8 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList, PyTuple};
 use std::mem::offset_of;
 
-/// The items of a message as an array of their layout, an image with its rows and columns. It cannot be written, and keeps the
-/// message alive as long as it, or any view of it, lives.
+/// Returns the items of a message as an array with their layout; an image has rows and columns. The array is read-only, and keeps
+/// the message alive while it or any view of it exists.
 pub(crate) fn of_message<'py>(message: &Bound<'py, Message>) -> PyResult<Bound<'py, PyAny>> {
     let (item, bytes) = (message.get().item(), message.get().bytes()?);
     if item.is_image() {
@@ -29,28 +29,28 @@ pub(crate) fn of_message<'py>(message: &Bound<'py, Message>) -> PyResult<Bound<'
     bytes.call_method1("view", (dtype(message.py(), item)?,))
 }
 
-/// What lies in a message as an array that cannot be written.
+/// Returns the items in a message as a read-only array.
 fn lent<'py, T: Element, D: Dimension>(
     items: &ArrayView<'_, T, D>,
     message: &Bound<'py, Message>,
 ) -> PyResult<Bound<'py, PyArray<T, D>>> {
-    // SAFETY: the items are those of the message, which is the base of the array, which holds it; they neither move nor change
-    // before it is gone. Without a buffer of its own to write it gives NumPy no leave to make the array writable again.
+    // SAFETY: the items belong to the message, which is the base of the array and kept alive by it; they neither move nor change
+    // before it is dropped. The base has no writable buffer, so NumPy cannot make the array writable again.
     let array = unsafe { PyArray::borrow_from_array(items, message.clone().into_any()) };
     let locked = array.try_readwrite().map_err(|error| fault::told(&error))?;
     drop(locked.make_nonwriteable());
     Ok(array)
 }
 
-/// The layout of the items "depth", "ellipses", "objects", "tracks" or "velocities", for numpy.zeros(n, dtype=..); metres,
-/// radians and seconds.
+/// Returns the layout of the items "depth", "ellipses", "objects", "tracks" or "velocities", for numpy.zeros(n, dtype=..);
+/// metres, radians and seconds.
 #[pyfunction]
 #[pyo3(name = "dtype")]
 pub(crate) fn dtype_of<'py>(py: Python<'py>, kind: &str) -> PyResult<Bound<'py, PyAny>> {
     dtype(py, called(kind)?)
 }
 
-/// The built-in items of this name.
+/// Returns the built-in item type of this name.
 pub(crate) fn called(kind: &str) -> PyResult<&'static ItemType> {
     BUILT_IN.iter().find(|row| row.name() == kind).ok_or_else(|| {
         let hint = suggestion(kind, BUILT_IN.iter().map(ItemType::name), "kinds");
@@ -58,7 +58,7 @@ pub(crate) fn called(kind: &str) -> PyResult<&'static ItemType> {
     })
 }
 
-/// The layout of items, as NumPy knows it.
+/// Returns the NumPy dtype of items.
 pub(crate) fn dtype<'py>(py: Python<'py>, item: &ItemType) -> PyResult<Bound<'py, PyAny>> {
     match item.name() {
         u16::NAME => u16::dtype(py),
@@ -70,7 +70,7 @@ pub(crate) fn dtype<'py>(py: Python<'py>, item: &ItemType) -> PyResult<Bound<'py
     }
 }
 
-/// The layout of items that the pipeline file describes: fields without holes between them.
+/// Returns the dtype of items that the pipeline file describes: fields without padding.
 fn described<'py>(py: Python<'py>, item: &ItemType) -> PyResult<Bound<'py, PyAny>> {
     let fields = PyList::empty(py);
     for field in item.described_layout().into_iter().flat_map(|layout| layout.fields()) {
@@ -78,7 +78,7 @@ fn described<'py>(py: Python<'py>, item: &ItemType) -> PyResult<Bound<'py, PyAny
         let count = count.trim_end_matches(']').trim();
         let code = match element.trim() {
             "text" => format!("S{count}"),
-            // `f64` is `f8` there.
+            // NumPy's name of `f64` is `f8`.
             number => format!("{count}{}{}", &number[..1], number[1..].parse::<usize>().unwrap_or(8) / 8),
         };
         fields.append((&field.name, code))?;
@@ -86,14 +86,14 @@ fn described<'py>(py: Python<'py>, item: &ItemType) -> PyResult<Bound<'py, PyAny
     py.import("numpy")?.call_method1("dtype", (fields,))
 }
 
-/// What NumPy has a type for.
+/// A type with a NumPy dtype.
 trait Typed {
     fn dtype(py: Python<'_>) -> PyResult<Bound<'_, PyAny>>;
 }
 
 type Dtype = for<'py> fn(Python<'py>) -> PyResult<Bound<'py, PyAny>>;
 
-/// The type of a field.
+/// Returns the dtype function of a field's type.
 const fn field<S, F: Typed>(_: fn(&S) -> &F) -> Dtype {
     F::dtype
 }
@@ -118,7 +118,7 @@ macro_rules! numbers {
 
 numbers!(u16, u32, u64, f32, f64);
 
-/// Structs by their fields, each where the compiler puts it.
+/// Implements `Typed` for structs, with the fields at the compiler's offsets.
 macro_rules! structs {
     ($($type:ty: $($name:ident),+;)+) => {$(
         impl Typed for $type {

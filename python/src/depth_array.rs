@@ -1,5 +1,5 @@
-//! Depth images as NumPy has them: two dimensions of `uint16` or `float32`, of any stride. What lies row by row without gaps
-//! is read where it is; anything else is copied once.
+//! Depth images as NumPy arrays: two dimensions of `uint16` or `float32`, with any stride. A contiguous array is read in place;
+//! any other is copied once.
 
 use crate::fault;
 use conicflow_messages::{COARSEST_SCALE, MAX_PIXELS, MAX_SIDE_PX, is_too_far};
@@ -7,14 +7,14 @@ use numpy::{PyArrayDescrMethods, PyReadonlyArray2, PyUntypedArray, PyUntypedArra
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyString};
 
-/// What is expected.
+/// The expected type, for errors.
 const EXPECTED: &str = "expected a NumPy array of two dimensions, (rows, columns), of uint16 (in units of `scale`) or of \
                         float32 (in metres, NaN: not measured)";
 
-/// So many channels an image has at most.
+/// Maximum number of channels of an image.
 const CHANNELS: usize = 4;
 
-/// One pixel in so many is asked whether the units can be right.
+/// Every how many pixels one is checked for wrong units.
 const LOOKED_AT: usize = 97;
 
 /// A depth image.
@@ -26,7 +26,7 @@ pub(crate) enum DepthArray<'py> {
 }
 
 impl<'py> DepthArray<'py> {
-    /// The image that lies in `depth`.
+    /// Checks `depth` and borrows its pixels.
     pub(crate) fn new(depth: &Bound<'py, PyAny>) -> PyResult<Self> {
         let py = depth.py();
         let Ok(array) = depth.cast::<PyUntypedArray>() else {
@@ -69,7 +69,7 @@ impl<'py> DepthArray<'py> {
         Ok(if of_units { Self::Units(whole.extract()?) } else { Self::Metres(whole.extract()?) })
     }
 
-    /// Warns of an image in metres most of which is farther than a depth can be: it may be in millimetres.
+    /// Warns if most of an image in metres is out of range: it may be in millimetres.
     pub(crate) fn warn_of_units(&self, py: Python<'_>) -> PyResult<()> {
         let Self::Metres(array) = self else { return Ok(()) };
         let looked_at = || array.as_slice().into_iter().flatten().step_by(LOOKED_AT);
@@ -83,7 +83,7 @@ impl<'py> DepthArray<'py> {
         fault::warn(py, what, hint)
     }
 
-    /// Columns and rows.
+    /// The size: columns and rows.
     pub(crate) fn size(&self) -> PyResult<(u32, u32)> {
         let shape = match self {
             Self::Units(array) => array.shape(),
@@ -105,7 +105,7 @@ impl<'py> DepthArray<'py> {
     }
 }
 
-/// The array itself where its pixels lie row by row, or a copy in which they do.
+/// Returns the array itself if it is contiguous, or a contiguous copy.
 fn whole<'py>(array: &Bound<'py, PyUntypedArray>) -> PyResult<Bound<'py, PyAny>> {
     let is_aligned: bool = array.getattr("flags")?.getattr("aligned")?.extract()?;
     if array.is_c_contiguous() && is_aligned {

@@ -1,4 +1,4 @@
-//! The detector: depth images in, objects out, without a pipeline. While it works other threads of Python go on.
+//! The detector without a pipeline: depth images in, objects out. Other Python threads run while it works.
 
 use crate::depth_array::DepthArray;
 use crate::record::{self, Record};
@@ -12,10 +12,10 @@ use pyo3::types::{PyDict, PyList};
 use std::cell::RefCell;
 use std::sync::{Mutex, MutexGuard};
 
-/// Metres per unit where nothing is said.
+/// The default: metres per unit.
 const MILLIMETRES: f64 = 0.001;
 
-/// What the images of a camera need to be understood.
+/// The sensor parameters that are needed to interpret the images of a camera.
 #[derive(Clone, Copy, PartialEq)]
 struct Sensor {
     intrinsics: Intrinsics,
@@ -38,7 +38,7 @@ impl Sensor {
     }
 }
 
-/// A detector, and what it was made for.
+/// A detector, with the sensor and the image size that it was made for.
 struct Made {
     sensor: Sensor,
     size: (u32, u32),
@@ -46,22 +46,22 @@ struct Made {
 }
 
 thread_local! {
-    /// What the last call of [`detect`] on this thread used: its buffers serve the next image of the same camera.
+    /// The detector of the last [`detect`] call on this thread: its buffers are reused for the next image of the same camera.
     static LAST: RefCell<Option<Made>> = const { RefCell::new(None) };
 }
 
-/// Spheres, cylinders and cones in one depth image, in the camera frame (x right, y down, z forward). For one image after another
-/// of a camera use `Detector`: it learns from each where the camera puts silhouettes.
+/// Finds spheres, cylinders and cones in one depth image, in the camera frame (x right, y down, z forward). For a sequence of
+/// images of one camera use `Detector`: it learns from each image where the camera puts silhouettes.
 ///
-/// depth: NumPy array (rows, columns). `uint16` counts units of `scale`, 0 and 65535 are not measured; `float32` is in
-///     metres, and what is not finite, not above zero or beyond 16.38 m is not measured. Any stride will do; an array that
-///     lies row by row without gaps is not copied.
+/// depth: NumPy array (rows, columns). `uint16` is in units of `scale`, 0 and 65535: no measurement; `float32` is in
+///     metres, and values that are not finite, not above zero or beyond 16.38 m are no measurement. Any stride is accepted; a
+///     contiguous array is not copied.
 /// camera: (fx, fy, cx, cy) in pixels, or a matrix K, 3x3 or its nine numbers row by row; pixel centres lie at whole numbers.
-/// scale: metres per unit of a `uint16` pixel; `float32` is in metres whatever it says.
+/// scale: metres per unit of a `uint16` pixel; not used for `float32`.
 /// noise: the sensor's depth noise, "kinect_v1", "realsense_d435", "time_of_flight", "ideal", or a dictionary with some of
 ///     floor_m, growth_per_m, knee_m, step_per_m. None: "kinect_v1".
 ///
-/// Returns a list of `Object`; nothing found is an empty list. Raises TypeError or ValueError with a hint.
+/// Returns a list of `Object`, which is empty if nothing was found. Raises TypeError or ValueError with a hint.
 #[pyfunction]
 #[pyo3(
     signature = (depth, camera, scale = None, noise = None),
@@ -86,10 +86,10 @@ pub(crate) fn detect<'py>(
     record::list_of(py, &found.map_err(|error| fault::told(&error))?)
 }
 
-/// What a detector finds in an image.
+/// The result of a detector for an image.
 type Found = Result<Vec<Object>, DetectError>;
 
-/// Looks at an image with the detector that `with` hands out, while other threads of Python go on.
+/// Runs the detector that `with` provides on an image, while other Python threads continue.
 fn look<R: Send>(
     py: Python<'_>,
     image: &DepthArray<'_>,
@@ -108,13 +108,13 @@ fn look<R: Send>(
     })
 }
 
-/// Finds objects in the images of one camera, one after another; all of them have the size of the first. Each shows where the
-/// camera puts silhouettes, by which the next ones are measured better; `assembler={"pooled": {"contour_memory": 0}}` looks at
-/// each alone, as `detect` does.
+/// Finds objects in a sequence of images of one camera; all must have the size of the first. Each image shows where the camera
+/// puts silhouettes, which makes measurements in later images more accurate; with `assembler={"pooled": {"contour_memory": 0}}`
+/// each image is processed independently, as by `detect`.
 ///
-/// camera, scale, noise: as of `detect`.
-/// extractor, assembler: dictionaries with parameters of the nodes `row_ellipse_extractor` and `object_assembler`; those that
-///     are left out have their defaults.
+/// camera, scale, noise: as for `detect`.
+/// extractor, assembler: dictionaries with parameters of the nodes `row_ellipse_extractor` and `object_assembler`; missing ones
+///     have their defaults.
 #[pyclass(frozen, name = "Detector", module = "conicflow")]
 pub(crate) struct PyDetector {
     sensor: Sensor,
@@ -142,7 +142,7 @@ impl PyDetector {
         Ok(Self { sensor, parameters: (extractor, assembler), made: Mutex::default() })
     }
 
-    /// The objects of a depth image, as `detect` returns them.
+    /// Returns the objects of a depth image, like `detect`.
     fn detect<'py>(&self, py: Python<'py>, depth: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyList>> {
         let image = DepthArray::new(depth)?;
         let size = image.size()?;
@@ -158,14 +158,14 @@ impl PyDetector {
         record::list_of(py, &found.map_err(|error| fault::told(&error))?)
     }
 
-    /// How noisy the last image was, near and far, in standard deviations of the noise model: far from 1 the model is not that of
-    /// the sensor.
+    /// The noise of the last image, near and far, relative to the noise model (standard deviations): far from 1, the model does
+    /// not fit the sensor.
     #[getter]
     fn noise_ratios(&self, py: Python<'_>) -> (f64, f64) {
         py.detach(|| self.made().as_ref().map_or((1.0, 1.0), |(_, detector)| detector.noise_ratios().into()))
     }
 
-    /// Why arcs and candidates of the last image were turned down, and how many of them.
+    /// The reasons why arcs and candidates of the last image were rejected, with their counts.
     #[getter]
     fn rejections<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let told: Vec<_> = py.detach(|| self.made().iter().flat_map(|(_, detector)| detector.rejections()).collect());
@@ -174,7 +174,7 @@ impl PyDetector {
         Ok(counts)
     }
 
-    /// It lies in memory of this process.
+    /// Refuses copies: the detector is memory of this process.
     fn __reduce__(&self) -> PyResult<Py<PyAny>> {
         let hint = "make one where it is used, in each process: Detector(camera, scale, noise)";
         Err(fault::kind("a Detector cannot be copied or pickled", hint))
@@ -186,14 +186,14 @@ impl PyDetector {
         lock(&self.made)
     }
 
-    /// The detector for images of this size, that of the first.
+    /// Creates the detector for images of this size.
     fn make(&self, size: (u32, u32)) -> (Camera, Detector) {
         let (extractor, assembler) = self.parameters.clone();
         (self.sensor.intrinsics.camera(size), self.sensor.detector(size).parameters(extractor, assembler))
     }
 }
 
-/// The objects among some records.
+/// Returns the objects of a list of records.
 pub(crate) fn objects(given: &Bound<'_, PyAny>) -> PyResult<Vec<Object>> {
     let mut objects = Vec::new();
     let each = given.try_iter().map_err(|_| {

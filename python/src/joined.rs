@@ -1,4 +1,4 @@
-//! What stages and sources in Python have in common: what they are told, their further inputs, and how they fail.
+//! The common part of stages and sources in Python: context and parameters, further inputs, and failures.
 
 use crate::message::{Lender, Message};
 use crate::owned::Owned;
@@ -13,10 +13,10 @@ use std::collections::BTreeMap;
 use std::io::{Write, stderr};
 use std::sync::{Mutex, MutexGuard};
 
-/// Exit code of a stage that could not be made ready: to start it anew would not help.
+/// Exit code of a stage that could not be initialised: a restart would not help.
 const REFUSED: i32 = 2;
 
-/// What a stage or a source has in Python whatever it makes: its place in the run.
+/// The part of a stage or source in Python that does not depend on its type: its place in the run.
 #[pyclass(frozen, subclass, name = "Joined", module = "conicflow")]
 pub(crate) struct Joined {
     pub(crate) context: Context,
@@ -26,7 +26,7 @@ pub(crate) struct Joined {
 }
 
 impl Joined {
-    /// One that is told this when it starts; one that is not wanted any more is told nothing.
+    /// Creates it from the context and the parameters; a process that is not wanted any more has neither.
     pub(crate) fn new(py: Python<'_>, told: Option<(&Context, &serde_json::Value)>) -> PyResult<Self> {
         let (context, parameters) = match told {
             Some((context, parameters)) => (context.clone(), parameters.to_string()),
@@ -41,37 +41,38 @@ impl Joined {
 
 #[pymethods]
 impl Joined {
-    /// Its name in the pipeline file.
+    /// Name of the stage in the pipeline file.
     #[getter]
     fn name(&self) -> &str {
         &self.context.stage
     }
 
-    /// Its parameters: all keys of its table in the pipeline file that are not conicflow's own.
+    /// Parameters: all keys of its table in the pipeline file that are not reserved.
     #[getter]
     fn parameters<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
         self.parameters.bind(py).clone()
     }
 
-    /// Folder of the pipeline file, against which relative paths are meant.
+    /// Folder of the pipeline file, which relative paths start at.
     #[getter]
     fn base(&self) -> &str {
         &self.base
     }
 
-    /// Messages that it took, as a source sent, before it was started anew in the same run; 0 at first.
+    /// Number of messages that it had taken (a source: sent) before it was restarted in the same run; 0 at first.
     #[getter]
     fn resume_at(&self) -> u64 {
         self.context.resume_at
     }
 
-    /// Whether the run is to end. What may take seconds or waits for a device asks now and then: who asks lives.
+    /// Whether the run is to end. Code that runs for seconds or waits for a device has to ask now and then; asking also shows
+    /// that the stage is alive.
     #[getter]
     fn stopping(&self) -> PyResult<bool> {
         Ok(self.stop.expect("stage")?.requested())
     }
 
-    /// The layout of the items that it sends, for numpy.zeros(n, dtype=stage.dtype); None where it has no output.
+    /// The layout of the items that it sends, for numpy.zeros(n, dtype=stage.dtype); None without an output.
     #[getter]
     fn dtype<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
         self.context.output.as_ref().map(|item| crate::array::dtype(py, item)).transpose()
@@ -86,7 +87,7 @@ impl Joined {
     }
 }
 
-/// What fills the place of a stage or a source.
+/// The Rust side of a stage or a source.
 pub(crate) trait Pulls: Send {
     fn count(&mut self, name: &str, times: u64);
     fn frame(&self) -> Option<u64>;
@@ -115,7 +116,7 @@ macro_rules! pulls {
 
 pulls!(PulledStage, PulledSource);
 
-/// A place in the run, until it is left; one that is not wanted any more has none.
+/// A place in the run, until it is left; empty in a process that is not wanted any more.
 pub(crate) struct PlaceInRun<T>(Owned<Mutex<Option<T>>>);
 
 impl<T: Pulls> PlaceInRun<T> {
@@ -123,7 +124,7 @@ impl<T: Pulls> PlaceInRun<T> {
         Self(Owned::new(Mutex::new(pulled)))
     }
 
-    /// What fills it; an error in a process that was forked from the one that joined the run.
+    /// Locks the place; fails in a process that was forked from the one that joined the run.
     pub(crate) fn lock(&self) -> PyResult<MutexGuard<'_, Option<T>>> {
         Ok(lock(self.0.expect("stage")?))
     }
@@ -135,7 +136,7 @@ impl<T: Pulls> PlaceInRun<T> {
         py.detach(|| self.lock().map(|mut pulled| pulled.iter_mut().for_each(|pulled| pulled.count(name, times))))
     }
 
-    /// Leaves it at the end of `with`: in order, or as one that failed. A process that was forked has nothing to leave.
+    /// Leaves the place at the end of `with`, in order or after a failure. Does nothing in a forked process.
     pub(crate) fn leave(&self, py: Python<'_>, kind: &Bound<'_, PyAny>, exception: &Bound<'_, PyAny>) -> PyResult<()> {
         let Some(pulled) = self.0.here().and_then(|_| self.lock().ok()?.take()) else { return Ok(()) };
         if kind.is_none() {
@@ -145,20 +146,20 @@ impl<T: Pulls> PlaceInRun<T> {
     }
 }
 
-/// What was found in a further input: its name, the message, and what that carries.
+/// A message of a further input: the name of the input, the message, and its item type.
 pub(crate) type Found = (String, RetainedMessage, ItemType);
 
-/// What was found, to be shown when the stage is free again: Python may let another thread at it.
+/// Copies the messages of further inputs, which are converted after the stage is unlocked: Python may switch threads.
 pub(crate) fn found<'a>(inputs: impl Iterator<Item = (&'a str, RetainedMessage, &'a ItemType)>) -> Vec<Found> {
     inputs.map(|(name, message, item)| (name.to_owned(), message, item.clone())).collect()
 }
 
-/// Lends the images of further inputs.
+/// The lenders for the images of further inputs.
 #[derive(Default)]
 pub(crate) struct Inputs(Mutex<BTreeMap<String, Lender>>);
 
 impl Inputs {
-    /// Adds what was found to a dictionary, by the names of the inputs.
+    /// Adds messages to a dictionary, by the names of their inputs.
     pub(crate) fn add_all(&self, all: &Bound<'_, PyDict>, found: Vec<Found>, received_ns: u64) -> PyResult<()> {
         for (name, message, item) in found {
             let lender = lock(&self.0).entry(name.clone()).or_default().clone();
@@ -168,10 +169,10 @@ impl Inputs {
     }
 }
 
-/// Joins the run, which from then on tells this process when to end: Python would raise KeyboardInterrupt in the midst of a step.
-/// A process that has no place keeps its own way to be interrupted.
+/// Joins the run, which from then on tells this process when to end: Python would otherwise raise KeyboardInterrupt in the middle
+/// of a step. A process without a place keeps its own SIGINT handler.
 pub(crate) fn join<T: Send>(py: Python<'_>, join: impl FnOnce() -> Result<T, ProcessError> + Send) -> PyResult<T> {
-    // Signals reach only the main thread; where this is another, somebody else has a say in them.
+    // Only the main thread can set signal handlers; elsewhere they are left alone.
     let before = be_interrupted_by(py, None).ok();
     py.detach(join).map_err(|error| {
         before.map(|before| be_interrupted_by(py, Some(before)));
@@ -179,14 +180,14 @@ pub(crate) fn join<T: Send>(py: Python<'_>, join: impl FnOnce() -> Result<T, Pro
     })
 }
 
-/// Lets SIGINT be handled so, or as the system does; how it was before.
+/// Sets the handler of SIGINT, by default that of the system; returns the handler before.
 fn be_interrupted_by<'py>(py: Python<'py>, handler: Option<Bound<'py, PyAny>>) -> PyResult<Bound<'py, PyAny>> {
     let signal = py.import("signal")?;
     let handler = handler.map_or_else(|| signal.getattr("SIG_DFL"), Ok)?;
     signal.call_method1("signal", (signal.getattr("SIGINT")?, handler))
 }
 
-/// How a process learns that it has no place: outside of a run by an exception, within one it ends as any stage does.
+/// Converts a refusal to a Python exception: outside of a run a RuntimeError, within one the end of the process.
 fn refusal(py: Python<'_>, error: &ProcessError) -> PyErr {
     if matches!(error, ProcessError::NoRun(_)) {
         return fault::run(error);
@@ -195,12 +196,12 @@ fn refusal(py: Python<'_>, error: &ProcessError) -> PyErr {
     PySystemExit::new_err(i32::from(error.exit_code()))
 }
 
-/// Tells of an exception at which frame it was raised; one before the first frame ends the process as one that could not be made
-/// ready.
+/// Reports at which frame an exception was raised; one before the first frame ends the process as one that could not be
+/// initialised.
 fn failed(py: Python<'_>, exception: &Bound<'_, PyAny>, frame: Option<u64>, begun: bool) -> PyResult<()> {
     let exits = exception.is_instance_of::<PySystemExit>();
     if let Some(frame) = frame {
-        // Python shows the exception itself, unless it ends the program.
+        // Python prints the exception itself, unless it ends the program.
         let what = if exits { format!(" {}", exception.repr()?) } else { String::new() };
         say(py, &format!("error: at frame {frame}:{what}"));
     }
@@ -212,7 +213,7 @@ fn failed(py: Python<'_>, exception: &Bound<'_, PyAny>, frame: Option<u64>, begu
     Err(PySystemExit::new_err(REFUSED))
 }
 
-/// Writes a line where errors go; whether anybody reads it is not the stage's concern.
+/// Writes a line to standard error; a failed write is ignored.
 fn say(py: Python<'_>, line: &str) {
     py.detach(|| writeln!(stderr(), "{line}").ok());
 }

@@ -1,8 +1,8 @@
 //! The Python module `conicflow`: the detector and the tracker on NumPy arrays, the topics of running pipelines, and stages
 //! and sources written in Python.
 //!
-//! Each of these doors is a file: [`detector`], [`tracker`], [`read`], [`stage`], [`source`]. What goes through them are
-//! [`record`]s, [`message`]s and [`depth_array`]s. Nothing of a pipeline is opened before it is asked for.
+//! Each of these interfaces has a file: [`detector`], [`tracker`], [`read`], [`stage`], [`source`]. Their data are [`record`]s,
+//! [`message`]s and [`depth_array`]s. Nothing of a pipeline is opened before it is needed.
 
 mod argument;
 mod array;
@@ -45,7 +45,7 @@ fn _conicflow(module: &Bound<'_, PyModule>) -> PyResult<()> {
     record::add_to(module)
 }
 
-/// Makes sure that there is NumPy, without loading it: the first array would miss it in the midst of a call.
+/// Checks that NumPy is installed, without loading it: otherwise the first array would fail in the middle of a call.
 fn expect_numpy(py: Python<'_>) -> PyResult<()> {
     if !py.import("importlib.util")?.call_method1("find_spec", ("numpy",))?.is_none() {
         return Ok(());
@@ -54,7 +54,7 @@ fn expect_numpy(py: Python<'_>) -> PyResult<()> {
     Err(PyImportError::new_err(Hinted::new("conicflow needs NumPy, which is not installed", hint).to_string()))
 }
 
-/// Logs a text as a stage in Rust does: "error", "warn" or "info".
+/// Logs a text like a stage in Rust, with level "error", "warn" or "info".
 #[pyfunction]
 fn log(py: Python<'_>, level: &str, text: &str) {
     py.detach(|| match level {

@@ -1,6 +1,5 @@
-//! Messages as Python sees them. A list is copied when it comes, for it is short; an image is lent where it lies in shared
-//! memory, as long as the message or any array of it lives. Of images only so many can be lent at once: a writer's memory is
-//! bounded.
+//! Messages as Python objects. A list is copied, because it is short; an image is lent in shared memory, for as long as the
+//! message or any array of it lives. The number of lent images is limited, because a writer's memory is.
 
 use crate::owned::Owned;
 use crate::{array, fault, record};
@@ -14,18 +13,18 @@ use pyo3::types::{PyBytes, PyDict, PyList};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Images of one topic that a program may have at once, the one that it asks for included.
+/// Maximum number of images of one topic that a program may hold, including the one it asks for.
 const MOST_LENT: usize = 4;
 
 /// Lends the images of one topic.
 #[derive(Clone, Default)]
 pub(crate) struct Lender(Arc<Lent>);
 
-/// How many images are lent now.
+/// The number of images that are lent.
 #[derive(Default)]
 struct Lent(AtomicUsize);
 
-/// Counts for one image as long as it is lent.
+/// Counts one image while it is lent.
 struct Loan(Arc<Lent>);
 
 impl Drop for Loan {
@@ -35,7 +34,7 @@ impl Drop for Loan {
 }
 
 impl Lender {
-    /// Makes sure that one image more can be lent.
+    /// Checks that one more image can be lent.
     pub(crate) fn look(&self, topic: &str) -> PyResult<()> {
         let lent = self.0.0.load(Ordering::Relaxed);
         if lent < MOST_LENT {
@@ -52,11 +51,11 @@ impl Lender {
     }
 }
 
-/// One message of a topic: when and by which camera its frame was taken, and its items.
+/// One message of a topic: the time and the camera of its frame, and its items.
 ///
-/// A list is copied. An image is lent: `image` lies in shared memory, cannot be written, and may be kept as long as few
-/// others are; whoever wants to keep more copies it. It is lent to this process alone: a child that is forked, such as by
-/// `multiprocessing`, needs a copy, `message.image.copy()`. An array that it gets without being copied shows other images later.
+/// A list is copied. An image is lent: `image` lies in shared memory, is read-only, and only a few can be held at a time; keep
+/// copies of more. It is lent to this process only: a forked child, such as one of `multiprocessing`, needs a copy,
+/// `message.image.copy()`. An array that it inherits without a copy shows other images later.
 #[pyclass(frozen, module = "conicflow")]
 pub(crate) struct Message {
     header: Header,
@@ -64,12 +63,13 @@ pub(crate) struct Message {
     /// The name of its topic.
     #[pyo3(get)]
     topic: String,
-    /// From the moment the source had the frame until the message came, in milliseconds; None where that is not known.
+    /// Time from when the source had the frame until the message came, in milliseconds; None if unknown.
     #[pyo3(get)]
     latency_ms: Option<f64>,
     content: Content,
     number: usize,
-    /// Of a message that drives a stage: what goes with it, by the names of the further inputs; each may be missing.
+    /// For a message that drives a stage: the messages of the further inputs that belong to it, by input name; each may be
+    /// missing.
     #[pyo3(get)]
     inputs: Py<PyDict>,
     items: PyOnceLock<Py<PyList>>,
@@ -79,12 +79,12 @@ pub(crate) struct Message {
 enum Content {
     /// In the memory of its writer.
     Lent(Owned<(RetainedMessage, Loan)>),
-    /// In this process, as the items have to lie.
+    /// In this process, aligned for any item type.
     Own { words: Box<[u64]>, length: usize },
 }
 
 impl Message {
-    /// A message of `topic` that came at `received_ns` on the monotonic clock.
+    /// Converts a message of `topic` that was received at `received_ns` on the monotonic clock.
     pub(crate) fn new<'py>(
         py: Python<'py>,
         topic: &str,
@@ -117,7 +117,7 @@ impl Message {
         &self.item
     }
 
-    /// Its bytes; an error where they are lent to another process.
+    /// The bytes of the items; an error if they are lent to another process.
     pub(crate) fn bytes(&self) -> PyResult<&[u8]> {
         match &self.content {
             Content::Lent(lent) => lent.here().map(|(message, _)| message.bytes()).ok_or_else(|| {
@@ -129,7 +129,7 @@ impl Message {
         }
     }
 
-    /// What goes with it.
+    /// The messages of the further inputs.
     pub(crate) fn inputs<'a, 'py>(&'a self, py: Python<'py>) -> &'a Bound<'py, PyDict> {
         self.inputs.bind(py)
     }
@@ -137,7 +137,7 @@ impl Message {
 
 #[pymethods]
 impl Message {
-    /// What the topic carries: "depth", "ellipses", "objects", "tracks", "velocities", or the name of an item type of the file.
+    /// The item type: "depth", "ellipses", "objects", "tracks", "velocities", or the name of an item type of the file.
     #[getter]
     fn kind(&self) -> &str {
         self.item.name()
@@ -149,7 +149,7 @@ impl Message {
         self.header.sequence
     }
 
-    /// When the frame was taken, in nanoseconds.
+    /// Time of capture in nanoseconds.
     #[getter]
     fn stamp_ns(&self) -> u64 {
         self.header.stamp_ns
@@ -196,13 +196,13 @@ impl Message {
         Ok(coefficients)
     }
 
-    /// The camera's pose, three rows of `[R | t]` with t in metres; None where it is not known.
+    /// The camera's pose, three rows of `[R | t]` with t in metres; None if unknown.
     #[getter]
     fn world_from_camera(&self) -> Option<[[f64; 4]; 3]> {
         self.header.pose().copied()
     }
 
-    /// The items as records; of an image there are none.
+    /// The items as records; empty for an image.
     #[getter]
     fn items<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
         let items = self.items.get_or_try_init(py, || {
@@ -212,14 +212,14 @@ impl Message {
         Ok(items.bind(py).clone())
     }
 
-    /// The items as a NumPy array of their layout, which cannot be written; an image as `image` has it.
+    /// The items as a read-only NumPy array with their layout; for an image the same as `image`.
     #[getter]
     fn array<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
         array::of_message(slf)
     }
 
-    /// A depth image, rows and columns of `uint16` in units of `scale` metres; 0 and 65535 are not measured. It is not copied,
-    /// and cannot be written. Give a child process a copy, `message.image.copy()`.
+    /// A depth image, rows and columns of `uint16` in units of `scale` metres; 0 and 65535: no measurement. It is not copied, and
+    /// read-only. Give a child process a copy, `message.image.copy()`.
     #[getter]
     fn image<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
         if slf.get().item.is_image() {
@@ -229,7 +229,7 @@ impl Message {
         Err(fault::kind(what, "its items are message.items, and message.array for NumPy"))
     }
 
-    /// The line that `json_sink` writes for this message; of an image a summary.
+    /// The line that `json_sink` writes for this message; for an image a summary.
     fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let mut line = Vec::new();
         AnyMessage { header: &self.header, item: &self.item, bytes: self.bytes()? }
@@ -238,17 +238,17 @@ impl Message {
         py.import("json")?.call_method1("loads", (PyBytes::new(py, &line),))
     }
 
-    /// Number of items, of an image its pixels.
+    /// Number of items; for an image, of pixels.
     fn __len__(&self) -> usize {
         self.number
     }
 
-    /// A message is one also where it has no items.
+    /// A message is true even without items.
     fn __bool__(&self) -> bool {
         true
     }
 
-    /// It lies in memory of this process, or is lent to it.
+    /// Refuses copies: the message is memory of this process, or lent to it.
     fn __reduce__(&self) -> PyResult<Py<PyAny>> {
         let hint = "pickle message.items, message.image.copy() or message.to_dict()";
         Err(fault::kind("a message cannot be copied or pickled", hint))

@@ -1,29 +1,29 @@
-//! What belongs to the process that made it: ports of a run, and memory that a writer lends. A fork copies them, but they stay
-//! one: a copy that the child drops would end the port of its parent, or give the parent's image back.
+//! Values that belong to the process that made them: ports of a run, and lent memory. A fork copies the handle but not the
+//! resource: if the child dropped its copy, the parent's port would end, or its image would be given back.
 
 use crate::fault;
 use pyo3::PyResult;
 use std::mem::forget;
 use std::process::id;
 
-/// A value that only the process that made it uses and drops; one that was forked from it leaves it alone.
+/// A value that only the process that made it uses and drops; forked processes leave it alone.
 pub(crate) struct Owned<T> {
     value: Option<T>,
     process: u32,
 }
 
 impl<T> Owned<T> {
-    /// A value of this process.
+    /// Creates a value of this process.
     pub(crate) fn new(value: T) -> Self {
         Self { value: Some(value), process: id() }
     }
 
-    /// The value, in the process that made it.
+    /// Returns the value, in the process that made it.
     pub(crate) fn here(&self) -> Option<&T> {
         self.value.as_ref().filter(|_| self.process == id())
     }
 
-    /// The value; in another process an error, which calls it by this name.
+    /// Returns the value; in another process an error that mentions `name`.
     pub(crate) fn expect(&self, name: &str) -> PyResult<&T> {
         self.here().ok_or_else(|| {
             let what = format!("this {name} was made in another process, from which this one was forked");

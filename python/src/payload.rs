@@ -1,5 +1,5 @@
-//! What a stage or source in Python sends: records, arrays of the layout of the items, a message as it came, or a depth image;
-//! and what of the header it sets.
+//! The payload that a stage or source in Python sends: records, an array with the layout of the items, a message as received, or
+//! a depth image; and the header fields that it sets.
 
 use crate::depth_array::DepthArray;
 use crate::message::Message;
@@ -12,17 +12,17 @@ use numpy::{PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyByteArray, PyBytes, PyDict};
 
-/// The bytes of items, and what they tell of the header.
+/// The bytes of items, and the header fields that follow from them.
 pub(crate) struct Payload {
     pub(crate) bytes: Vec<u8>,
-    /// Columns and rows of an image.
+    /// Size of an image: columns and rows.
     size: Option<(u32, u32)>,
-    /// Metres per unit, where the image was in metres.
+    /// Metres per unit, if the image was in metres.
     scale: Option<f64>,
 }
 
 impl Payload {
-    /// The items that were given.
+    /// Converts the given items.
     pub(crate) fn new(item: &ItemType, given: &Bound<'_, PyAny>) -> PyResult<Self> {
         if let Ok(message) = given.cast::<Message>() {
             let message = message.get();
@@ -59,7 +59,7 @@ impl Payload {
     }
 }
 
-/// Makes sure that items which come as one type can go as another.
+/// Checks that items of one type can be sent as another.
 fn expect(item: &ItemType, came: &ItemType) -> PyResult<()> {
     if item.fits(came) {
         return Ok(());
@@ -68,7 +68,7 @@ fn expect(item: &ItemType, came: &ItemType) -> PyResult<()> {
     Err(fault::kind(what, "the pipeline file says what it carries: output = { topic = \"..\", kind = \"..\" }"))
 }
 
-/// The bytes of records of this type.
+/// Returns the bytes of records of this type.
 fn bytes_of_records(item: &ItemType, given: &Bound<'_, PyAny>) -> PyResult<Vec<u8>> {
     let mut bytes = Vec::new();
     let items = given.try_iter().map_err(|_| {
@@ -100,10 +100,10 @@ fn structured(item: &ItemType, array: &Bound<'_, PyUntypedArray>) -> PyResult<Ve
     Ok(bytes.cast::<PyBytes>()?.as_bytes().to_vec())
 }
 
-/// Records as a NumPy array of `dtype(kind)`, which can be written.
+/// Converts records to a writable NumPy array of `dtype(kind)`.
 ///
 /// kind: "ellipses", "objects", "tracks" or "velocities".
-/// records: a list of them, such as `detect` returns; an empty one gives an empty array.
+/// records: a list of records, such as `detect` returns; an empty list gives an empty array.
 #[pyfunction]
 #[pyo3(name = "array")]
 pub(crate) fn of_records<'py>(py: Python<'py>, kind: &str, records: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
@@ -112,7 +112,7 @@ pub(crate) fn of_records<'py>(py: Python<'py>, kind: &str, records: &Bound<'py, 
     py.import("numpy")?.call_method1("frombuffer", (bytes, array::dtype(py, item)?))
 }
 
-/// What of a header a program sets, by the names of its arguments.
+/// The header fields that a program sets, by argument name.
 #[derive(Default)]
 pub(crate) struct HeaderChange {
     camera: Option<(f64, f64, f64, f64)>,
@@ -125,7 +125,7 @@ pub(crate) struct HeaderChange {
 }
 
 impl HeaderChange {
-    /// The named arguments of `send`.
+    /// Parses the named arguments of `send`.
     pub(crate) fn new(arguments: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         let mut change = Self::default();
         for (name, value) in arguments.into_iter().flat_map(|arguments| arguments.iter()) {
@@ -155,12 +155,12 @@ impl HeaderChange {
         Ok(change)
     }
 
-    /// The number of the frame, where one was given.
+    /// The sequence number, if one was given.
     pub(crate) fn sequence(&self) -> Option<u64> {
         self.sequence
     }
 
-    /// Sets in the header what was given, and what the payload tells.
+    /// Sets the given header fields, and those that follow from the payload.
     pub(crate) fn apply(self, header: &mut Header, payload: &Payload) {
         if let Some((width, height)) = payload.size {
             (header.camera.width, header.camera.height) = (width, height);
@@ -168,7 +168,7 @@ impl HeaderChange {
         if let Some((fx, fy, cx, cy)) = self.camera {
             (header.camera.fx, header.camera.fy, header.camera.cx, header.camera.cy) = (fx, fy, cx, cy);
         }
-        // An image in metres was put into units of its own.
+        // An image in metres was converted to units of its own scale.
         header.depth_scale = payload.scale.or(self.scale).unwrap_or(header.depth_scale);
         header.noise = self.noise.unwrap_or(header.noise);
         header.stamp_ns = self.stamp_ns.unwrap_or(header.stamp_ns);

@@ -1,4 +1,4 @@
-//! Live topics of a pipeline that runs on this machine, as an onlooker, for whom no writer waits.
+//! Live topics of a pipeline that runs on this machine, read as an onlooker, for whom no writer waits.
 
 use crate::message::{Lender, Message};
 use crate::owned::Owned;
@@ -13,25 +13,25 @@ use std::sync::{Arc, Mutex};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-/// Between two looks without a message.
+/// Pause between polls without a message.
 const POLL_PERIOD: Duration = Duration::from_millis(1);
-/// So long it looks at most before Python may raise KeyboardInterrupt.
+/// Maximum time between checks for KeyboardInterrupt.
 const INTERRUPT_CHECK_PERIOD: Duration = Duration::from_millis(50);
 
-/// Messages of topics of a running pipeline, from now on, until the run is over.
+/// An iterator over the messages of topics of a running pipeline, from now on, until the run is over.
 #[pyclass(frozen, module = "conicflow")]
 pub(crate) struct Reader {
     watcher: Owned<Mutex<Option<Watcher>>>,
     topics: Vec<(String, ItemType, Lender)>,
 }
 
-/// The messages of topics of a pipeline that runs on this machine, from now on, until the run is over.
+/// Reads the messages of topics of a pipeline that runs on this machine, from now on, until the run is over.
 ///
 /// topics: one name or several; `conicflow topic list` shows them.
-/// pipeline: the name of the pipeline, where several run.
+/// pipeline: the name of the pipeline, if several run.
 ///
-/// It looks on: no stage waits for it or does more for it than pass it a pointer, and who is slow loses messages. Iterating gives
-/// each as a `Message`. Raises RuntimeError with a hint where there is no such pipeline or topic.
+/// It is an onlooker: no stage waits for it or does more than pass it a pointer, and a slow reader loses messages. Iterating
+/// yields each message as a `Message`. Raises RuntimeError with a hint if there is no such pipeline or topic.
 #[pyfunction]
 #[pyo3(signature = (*topics, pipeline = None))]
 pub(crate) fn read(py: Python<'_>, topics: &Bound<'_, PyTuple>, pipeline: Option<&str>) -> PyResult<Reader> {
@@ -97,7 +97,7 @@ impl Reader {
         }
     }
 
-    /// Leaves its place among the onlookers; messages that were received stay. Does nothing in a process that was forked.
+    /// Stops reading; received messages stay valid. Does nothing in a forked process.
     fn close(&self) {
         if let Some(watcher) = self.watcher.here() {
             lock(watcher).take();

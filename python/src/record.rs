@@ -1,7 +1,7 @@
-//! Items as Python sees them: what was found or came, with the keys of its line of JSON as attributes.
+//! Items as Python objects, with the keys of their line of JSON as attributes.
 //!
-//! A record keeps the item itself, so that it can be tracked or sent on to the bit. What it shows of it is what
-//! [`AnyMessage::write_json`] writes, read by Python's own reader.
+//! A record keeps the item itself, so that it can be tracked or sent on bit for bit. Its attributes are read by Python's JSON
+//! reader from what [`AnyMessage::write_json`] writes.
 
 use crate::fault;
 use bytemuck::{bytes_of, cast_slice, cast_slice_mut, pod_read_unaligned};
@@ -16,31 +16,31 @@ use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyBytes, PyDict, PyList, PyString, PyTuple};
 
-/// One item of a message. Its attributes are the keys that `json_sink` writes; what only other shapes have is None.
+/// One item of a message. Its attributes are the keys that `json_sink` writes; keys that only other shapes have are None.
 #[pyclass(frozen, subclass, module = "conicflow")]
 pub(crate) struct Record {
     item: ItemType,
-    /// Its bytes, as it has to lie in memory.
+    /// Its bytes, aligned for any item type.
     words: Box<[u64]>,
     shown: PyOnceLock<Py<PyDict>>,
 }
 
-/// A sphere, cylinder or cone in the camera frame (x right, y down, z forward); what only other shapes have is None.
+/// A sphere, cylinder or cone in the camera frame (x right, y down, z forward); attributes that only other shapes have are None.
 ///
 /// kind: "sphere", "cylinder" or "cone"; in arrays 0, 1 or 2.
-/// center: [x, y, z] of a sphere; else the middle of the visible part, on the axis; metres.
+/// center: [x, y, z] of a sphere; for others the middle of the visible part, on the axis; metres.
 /// radius: metres; None for a cone.
-/// axis: unit vector, of a cone from the apex to the base; None for a sphere.
+/// axis: unit vector; for a cone from the apex to the base; None for a sphere.
 /// length: of the visible part along the axis, metres; None for a sphere.
 /// apex, half_angle, base_radius, top_radius: of a cone, metres and radians; the radii at the wide and the narrow end of the
 ///     visible part.
 /// sigma: standard deviations: center [x, y, z], radius (of a cone at its center) and length in metres, axis and half_angle in
 ///     radians.
 /// covariance: of the center, NumPy array 3x3, square metres.
-/// rms: root mean square distance of the points from the surface beyond what noise explains, metres.
+/// rms: root mean square distance of the points from the surface in excess of the noise, metres.
 /// points, rows: measurements and scan lines that support it.
 /// arc: visible part of the circumference, radians.
-/// confidence: probability that it is an object of this shape; None where the method does not tell.
+/// confidence: probability that it is an object of this shape; None if the method does not estimate it.
 #[pyclass(frozen, extends = Record, name = "Object", module = "conicflow")]
 struct PyObjectRecord;
 
@@ -53,27 +53,27 @@ impl PyObjectRecord {
     }
 }
 
-/// A tracked object in the camera frame (x right, y down, z forward); what only other shapes have is None.
+/// A tracked object in the camera frame (x right, y down, z forward); attributes that only other shapes have are None.
 ///
-/// id: its identity, the same from the first sight to the last.
+/// id: identity, constant during the life of the track.
 /// state: "tentative", "confirmed", or "coasting" while it is not seen; in arrays 0, 1 or 2.
-/// age, misses: frames since its first sight, and since it was last seen.
+/// age, misses: frames since it was first seen, and since it was last seen.
 /// velocity: [x, y, z] of the center, metres per second.
-/// velocity_covariance: of that, NumPy array 3x3, square metres per square second.
+/// velocity_covariance: of the velocity, NumPy array 3x3, square metres per square second.
 /// kind: "sphere", "cylinder" or "cone"; in arrays 0, 1 or 2.
-/// center: [x, y, z] of a sphere; else the middle of the visible part, on the axis; metres.
+/// center: [x, y, z] of a sphere; for others the middle of the visible part, on the axis; metres.
 /// radius: metres; None for a cone.
-/// axis: unit vector, of a cone from the apex to the base; None for a sphere.
+/// axis: unit vector; for a cone from the apex to the base; None for a sphere.
 /// length: of the visible part along the axis, metres; None for a sphere.
 /// apex, half_angle, base_radius, top_radius: of a cone, metres and radians; the radii at the wide and the narrow end of the
 ///     visible part.
 /// sigma: standard deviations: center [x, y, z], radius (of a cone at its center) and length in metres, axis and half_angle in
 ///     radians, velocity [x, y, z] in metres per second.
 /// covariance: of the center, NumPy array 3x3, square metres.
-/// rms: root mean square distance of the points from the surface beyond what noise explains, metres.
+/// rms: root mean square distance of the points from the surface in excess of the noise, metres.
 /// points, rows: measurements and scan lines that support it.
 /// arc: visible part of the circumference, radians.
-/// confidence: probability that it is an object of this shape; None where the method does not tell.
+/// confidence: probability that it is an object of this shape; None if the method does not estimate it.
 #[pyclass(frozen, extends = Record, name = "Track", module = "conicflow")]
 struct PyTrack;
 
@@ -92,7 +92,7 @@ impl PyTrack {
     }
 }
 
-/// A matrix of an item as a NumPy array.
+/// Returns a matrix of an item as a NumPy array.
 fn matrix<'py, T: Item>(
     record: &Bound<'py, Record>,
     of: impl FnOnce(T) -> [[f64; 3]; 3],
@@ -104,24 +104,24 @@ fn matrix<'py, T: Item>(
 /// An arc of a scan line, in the camera frame.
 ///
 /// scan, line: "row" or "column" (in arrays 0 or 1), and its number.
-/// first, last: its first and its last pixel.
+/// first, last: the first and the last pixel.
 /// points: number of points.
 /// center: [x, y, z], metres.
 /// semi_axes: the longer first, metres.
-/// angle: from the direction across the view to the longer axis, in the plane of the line, radians.
-/// rms: root mean square distance of the points beyond the noise, metres.
+/// angle: between the direction across the view and the longer axis, in the plane of the line, radians.
+/// rms: root mean square distance of the points in excess of the noise, metres.
 /// arc: angle that the points span, radians.
 #[pyclass(frozen, extends = Record, name = "Ellipse", module = "conicflow")]
 struct PyEllipse;
 
-/// A velocity that is to be taken.
+/// A velocity command.
 ///
 /// linear, angular: [x, y, z], metres and radians per second.
-/// frame: "camera" or "world", whose axes are meant; in arrays 0 or 1.
+/// frame: the coordinate frame, "camera" or "world"; in arrays 0 or 1.
 #[pyclass(frozen, extends = Record, name = "Velocity", module = "conicflow")]
 struct PyVelocity;
 
-/// Makes the classes of records known.
+/// Adds the classes of records to the module.
 pub(crate) fn add_to(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(unpickled, module)?)?;
     module.add_class::<Record>()?;
@@ -131,12 +131,12 @@ pub(crate) fn add_to(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyVelocity>()
 }
 
-/// A record of one of the classes, as [`Record::__reduce__`] tells of it.
+/// Restores a record that [`Record::__reduce__`] has pickled.
 #[pyfunction(name = "_record")]
 fn unpickled<'py>(py: Python<'py>, layout: &str, bytes: &[u8]) -> PyResult<Bound<'py, PyAny>> {
     let item = BUILT_IN.iter().find(|item| item.layout() == layout && item.size() == bytes.len());
     let item = item.ok_or_else(|| fault::value("it was pickled by another version", "find the objects anew"))?;
-    // Of whatever camera they are, the items alone are to make sense: its images have the pixels that an arc needs.
+    // Only the items are checked, whatever their camera: its image gets the pixels that an arc needs.
     let (width, height) = Record::new(item, bytes).item_as::<Ellipse>().map_or((1, 1), |ellipse| {
         let (line, along) = (ellipse.line.saturating_add(1), ellipse.last.saturating_add(1));
         if ellipse.direction() == Scan::Row { (along, line) } else { (line, along) }
@@ -147,12 +147,12 @@ fn unpickled<'py>(py: Python<'py>, layout: &str, bytes: &[u8]) -> PyResult<Bound
     Record::new(item, bytes).into_python(py)
 }
 
-/// Items that this program knows, as a list of records.
+/// Returns built-in items as a list of records.
 pub(crate) fn list_of<'py, T: ToJson>(py: Python<'py>, items: &[T]) -> PyResult<Bound<'py, PyList>> {
     list(py, &ItemType::shown::<T>(), cast_slice(items))
 }
 
-/// The items in `bytes` as a list of records.
+/// Returns the items in `bytes` as a list of records.
 pub(crate) fn list<'py>(py: Python<'py>, item: &ItemType, bytes: &[u8]) -> PyResult<Bound<'py, PyList>> {
     let records = bytes.chunks_exact(item.size()).map(|bytes| Record::new(item, bytes).into_python(py));
     PyList::new(py, records.collect::<PyResult<Vec<_>>>()?)
@@ -165,7 +165,7 @@ impl Record {
         Self { item: item.clone(), words: words.into(), shown: PyOnceLock::new() }
     }
 
-    /// In the class of its items.
+    /// Converts it to the Python class of its item type.
     fn into_python(self, py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
         Ok(match self.item.name() {
             Object::NAME => Bound::new(py, (PyObjectRecord, self))?.into_any(),
@@ -176,12 +176,12 @@ impl Record {
         })
     }
 
-    /// What it is.
+    /// The item type.
     pub(crate) fn item(&self) -> &ItemType {
         &self.item
     }
 
-    /// Its bytes.
+    /// The bytes of the item.
     pub(crate) fn bytes(&self) -> &[u8] {
         &cast_slice(&self.words)[..self.item.size()]
     }
@@ -191,7 +191,7 @@ impl Record {
         self.item.fits(const { &ItemType::of::<T>() }).then(|| pod_read_unaligned(self.bytes()))
     }
 
-    /// What JSON says of it, read once.
+    /// Its JSON as a dictionary, which is made once.
     fn shown<'py>(&self, py: Python<'py>) -> PyResult<&Bound<'py, PyDict>> {
         Ok(self.shown.get_or_try_init(py, || Ok::<_, PyErr>(self.to_dict(py)?.unbind()))?.bind(py))
     }
@@ -199,7 +199,7 @@ impl Record {
 
 #[pymethods]
 impl Record {
-    /// What `json_sink` writes for this item, to the last digit.
+    /// The item as `json_sink` writes it, to the last digit.
     fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let message = AnyMessage { header: &Header::default(), item: &self.item, bytes: self.bytes() };
         let mut line = Vec::new();
@@ -214,7 +214,7 @@ impl Record {
         match shown.get_item(name)? {
             Some(value) if value.is_instance_of::<PyList>() => value.call_method0("copy"),
             Some(value) => with_attributes(py, value, known.map(|known| known.get_item(name)).transpose()?.flatten()),
-            // What this shape does not have, another has.
+            // Another shape has this attribute.
             None if known.is_some_and(|known| known.contains(name).unwrap_or(false)) => Ok(py.None().into_bound(py)),
             None => Err(PyAttributeError::new_err(format!(
                 "an item of {} has no `{name}`\n  hint: it has {}",
@@ -224,7 +224,7 @@ impl Record {
         }
     }
 
-    /// What its class has, and the keys of its items, those of other shapes included.
+    /// The attributes of the class, and the keys of its items, including those of other shapes.
     fn __dir__<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyList>> {
         let (py, record) = (slf.py(), slf.get());
         let names = slf.get_type().dir()?;
@@ -233,7 +233,7 @@ impl Record {
         Ok(names)
     }
 
-    /// How it is copied and pickled: by its bytes, which another version of the layout refuses.
+    /// Supports copying and pickling by the item's bytes; another version of the layout refuses them.
     fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
         if !self.item.is_built_in() {
             let what = format!("an item of {} cannot be copied or pickled", self.item.name());
@@ -262,7 +262,7 @@ impl Record {
     }
 }
 
-/// All keys that items of a type can have, those of another shape included, each with `None` or with the keys below it.
+/// Returns all keys that items of a type can have, including those of other shapes, each with `None` or with its nested keys.
 fn keys<'py>(py: Python<'py>, item: &ItemType) -> PyResult<Option<Bound<'py, PyDict>>> {
     static KEYS: PyOnceLock<[(&str, Py<PyDict>); 2]> = PyOnceLock::new();
     let known = KEYS.get_or_try_init(py, || {
@@ -274,7 +274,7 @@ fn keys<'py>(py: Python<'py>, item: &ItemType) -> PyResult<Option<Bound<'py, PyD
     Ok(found.map(|(_, keys)| keys.bind(py).clone()))
 }
 
-/// The keys of all these examples together.
+/// Returns the union of the keys of these examples.
 fn keys_of<'py, T: ToJson>(py: Python<'py>, examples: &[T]) -> PyResult<Bound<'py, PyDict>> {
     let keys = PyDict::new(py);
     for example in examples {
@@ -295,7 +295,7 @@ fn keys_of<'py, T: ToJson>(py: Python<'py>, examples: &[T]) -> PyResult<Bound<'p
     Ok(keys)
 }
 
-/// A value with attributes in place of keys, where it has keys; those that only other shapes have are `None`.
+/// Converts a dictionary to an object with attributes; attributes that only other shapes have are `None`.
 fn with_attributes<'py>(
     py: Python<'py>,
     value: Bound<'py, PyAny>,

@@ -1,5 +1,5 @@
-//! Camera, noise and parameters as Python gives them: four numbers, the words of the pipeline file, and dictionaries with its
-//! keys.
+//! Conversion of cameras, noise models and parameters from Python: four numbers, words as in the pipeline file, and dictionaries
+//! with its keys.
 
 use crate::{argument, fault};
 use conicflow_dataflow::Config;
@@ -12,11 +12,11 @@ use pyo3::prelude::*;
 use pyo3::types::{IntoPyDict, PyBool, PyByteArray, PyBytes, PyCFunction};
 use serde_json::Value as Json;
 
-/// What to write where the camera is wanted.
+/// The hint when the camera is missing.
 pub(crate) const CAMERA: &str = "give camera=(fx, fy, cx, cy) in pixels, such as (525.0, 525.0, 319.5, 239.5), or a matrix K, \
                                  row by row";
 
-/// What of the camera that other libraries describe is wanted, by an attribute that tells which it is.
+/// Hints for camera objects of other libraries, by an attribute that identifies them.
 const OF_OTHERS: [(&str, &str); 4] = [
     ("k", "of a CameraInfo of ROS 2 give camera=info.k"),
     ("K", "of a CameraInfo of ROS 1 give camera=info.K"),
@@ -24,7 +24,7 @@ const OF_OTHERS: [(&str, &str); 4] = [
     ("intrinsic_matrix", "of intrinsics of Open3D give camera=i.intrinsic_matrix"),
 ];
 
-/// The intrinsics of a camera: `(fx, fy, cx, cy)` in pixels, or a matrix K.
+/// Converts the intrinsics of a camera: `(fx, fy, cx, cy)` in pixels, or a matrix K.
 pub(crate) fn intrinsics(camera: &Bound<'_, PyAny>) -> PyResult<Intrinsics> {
     let rows = || camera.extract::<[[f64; 3]; 3]>().map(|rows| rows.as_flattened().to_vec());
     let is_text = camera.is_instance_of::<PyBytes>() || camera.is_instance_of::<PyByteArray>();
@@ -55,7 +55,7 @@ pub(crate) fn intrinsics(camera: &Bound<'_, PyAny>) -> PyResult<Intrinsics> {
     }
 }
 
-/// Metres per unit of a depth pixel.
+/// Converts the metres per unit of a depth pixel.
 pub(crate) fn scale(given: &Bound<'_, PyAny>) -> PyResult<f64> {
     let hint = "it is metres per unit: 0.001 for millimetres, 0.0002 for TUM RGB-D, which has 5000 units in a metre";
     let scale = argument::number("scale", given, hint)?;
@@ -66,14 +66,14 @@ pub(crate) fn scale(given: &Bound<'_, PyAny>) -> PyResult<f64> {
     Err(fault::value(format!("`scale` is {scale}, allowed is from {least:e} to {most} metres per unit"), hint))
 }
 
-/// The noise of a sensor: a word, or a dictionary with coefficients.
+/// Converts the noise model of a sensor: a word, or a dictionary with coefficients.
 pub(crate) fn noise(noise: Option<&Bound<'_, PyAny>>) -> PyResult<NoiseModel> {
     let Some(noise) = noise else { return Ok(NoiseConfig::default().into()) };
     Ok(read::<NoiseConfig>("noise", noise)?.into())
 }
 
-/// Parameters by their names in the pipeline file; those that are left out have their defaults. `faults` tells what is wrong
-/// with them although each is in its range.
+/// Converts parameters with the names of the pipeline file; missing ones have their defaults. `faults` checks them beyond their
+/// ranges.
 pub(crate) fn parameters<T: Config>(
     name: &str,
     given: Option<&Bound<'_, PyAny>>,
@@ -87,11 +87,11 @@ pub(crate) fn parameters<T: Config>(
     }
 }
 
-/// What is described by words and dictionaries as in the pipeline file, and checked as there.
+/// Converts words and dictionaries as in the pipeline file, with the same checks.
 fn read<T: Config>(name: &str, value: &Bound<'_, PyAny>) -> PyResult<T> {
     let hint = "give numbers, words and dictionaries, by the keys that docs/pipeline.schema.json tells";
     let py = value.py();
-    // NumPy's numbers and arrays are plain ones there.
+    // NumPy's numbers and arrays become plain ones.
     let plain = PyCFunction::new_closure(py, None, None, |arguments, _| -> PyResult<Py<PyAny>> {
         let given = arguments.get_item(0)?;
         if given.hasattr("tolist")? {

@@ -1,4 +1,4 @@
-//! Sources in Python: the program makes its messages in a loop of its own, and has the rights and duties of a source in Rust.
+//! Sources in Python: the program sends its messages in a loop of its own, and behaves like a source in Rust.
 
 use crate::fault;
 use crate::joined::{self, Inputs, Joined, PlaceInRun};
@@ -10,26 +10,26 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// A source of a pipeline; `conicflow.source()` makes it.
+/// A source of a pipeline, made by `conicflow.source()`.
 ///
 /// with conicflow.source() as source:
 ///     for number in source:
 ///         source.send(camera.read(), camera=(fx, fy, cx, cy), scale=0.001, noise="realsense_d435")
 ///
-/// Iterating gives the numbers of the frames, when each is due by the parameter `rate_hz`, where there is one. Each is that of the
-/// next message that is sent: where none is, the same comes again. It ends by itself
-/// when the run ends, when as many frames are made as are wanted, and when it is replaced; the stream ends where the loop does.
+/// Iterating yields the number of each frame when it is due by the parameter `rate_hz`, if there is one. It is the number of the
+/// next message that is sent: if none is sent, the same number comes again. The loop ends when the run ends, when the wanted
+/// number of frames is made, and when the source is replaced; the stream ends with the loop.
 #[pyclass(frozen, extends = Joined, module = "conicflow")]
 pub(crate) struct Source {
     pulled: PlaceInRun<PulledSource>,
     inputs: Inputs,
-    /// Whether it was told what the images are like.
+    /// Whether the size and depth of the images were logged.
     is_told: AtomicBool,
 }
 
-/// Takes the place of the source in whose `program` this process was started by `conicflow run`.
+/// Joins the run as the source whose `program` `conicflow run` has started as this process.
 ///
-/// total: number of messages that it will make in all, where that is known.
+/// total: total number of messages that it will send, if known.
 #[pyfunction]
 #[pyo3(signature = (*, total = None))]
 pub(crate) fn source(py: Python<'_>, total: Option<u64>) -> PyResult<Bound<'_, Source>> {
@@ -40,13 +40,13 @@ pub(crate) fn source(py: Python<'_>, total: Option<u64>) -> PyResult<Bound<'_, S
 }
 
 impl Source {
-    /// The header of a frame of which nothing was said.
+    /// The default header of a frame.
     fn header(name: &str) -> Header {
         let (noise, source) = (NoiseModel::KINECT_V1, Text::new(name));
         Header { depth_scale: 0.001, noise, stamp_ns: unix_ns(), source, ..Header::default() }
     }
 
-    /// Says once what the images are like, so that a wrong scale is seen.
+    /// Logs once what the images are like, so that a wrong scale is noticed.
     fn tell(&self, name: &str, header: &Header, pixels: &[u16]) {
         let is_told = report_frame("images", name, &header.camera, header.depth_scale, pixels);
         self.is_told.fetch_or(is_told, Ordering::Relaxed);
@@ -55,7 +55,7 @@ impl Source {
 
 #[pymethods]
 impl Source {
-    /// What this source had counted before it was started anew.
+    /// The counters of this source before it was restarted.
     #[getter]
     fn counted<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyDict>> {
         let counted = PyDict::new(slf.py());
@@ -65,7 +65,7 @@ impl Source {
         Ok(counted)
     }
 
-    /// The latest messages of the further inputs, by their names, as of the present frame; each may be missing.
+    /// The latest messages of the further inputs, by input name, as of the present frame; each may be missing.
     #[getter]
     fn inputs<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let found = py.detach(|| {
@@ -85,12 +85,11 @@ impl Source {
         })
     }
 
-    /// Sends a message: an image of depths, a list of records, or a NumPy array of `dtype`.
+    /// Sends a message: a depth image, a list of records, or a NumPy array of `dtype`.
     ///
-    /// By name: camera (fx, fy, cx, cy), which depth images need; scale, metres per unit, default 0.001; noise, default
-    /// "kinect_v1"; stamp_ns, default now; source, its name; sequence, a number of the frame's own, which has to rise;
-    /// world_from_camera. Waits where a reader must not miss a message and has no room. Raises ValueError for items that no
-    /// reader would take.
+    /// Keyword arguments: camera (fx, fy, cx, cy), required for depth images; scale, metres per unit, default 0.001; noise,
+    /// default "kinect_v1"; stamp_ns, default now; source, its name; sequence, a frame number of its own, which has to rise;
+    /// world_from_camera. Waits while a lossless reader has no room. Raises ValueError for items that no reader would accept.
     #[pyo3(signature = (items, **header))]
     fn send(slf: &Bound<'_, Self>, items: &Bound<'_, PyAny>, header: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
         let (source, context) = (slf.get(), &slf.as_super().get().context);

@@ -1,4 +1,4 @@
-//! Stages in Python: the program asks for its messages in a loop of its own, and has the rights and duties of a stage in Rust.
+//! Stages in Python: the program iterates over its messages in a loop of its own, and behaves like a stage in Rust.
 
 use crate::fault;
 use crate::joined::{self, Inputs, Joined, PlaceInRun};
@@ -10,18 +10,18 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::time::Duration;
 
-/// So long it waits at most before it looks around.
+/// Maximum time between checks for Python signals.
 const INTERRUPT_CHECK_PERIOD: Duration = Duration::from_millis(100);
 
-/// A stage of a pipeline; `conicflow.stage()` makes it.
+/// A stage of a pipeline, made by `conicflow.stage()`.
 ///
 /// with conicflow.stage() as stage:
 ///     for message in stage:
 ///         stage.send([each for each in message.items if each.kind == "sphere"])
 ///
-/// It ends by itself at the end of its input, when the run ends, and when it is replaced. What raises an exception in its loop is
-/// started anew, as the pipeline file says; what does so before its first message ends the run. A message that is not answered by
-/// `send` gives an empty list.
+/// The loop ends at the end of the input, when the run ends, and when the stage is replaced. If the loop raises an exception, the
+/// stage is restarted as the pipeline file says; an exception before the first message ends the run. A message without a `send`
+/// results in an empty list.
 #[pyclass(frozen, extends = Joined, module = "conicflow")]
 pub(crate) struct Stage {
     pulled: PlaceInRun<PulledStage>,
@@ -31,9 +31,9 @@ pub(crate) struct Stage {
     inputs: Inputs,
 }
 
-/// Takes the place of the stage in whose `program` this process was started by `conicflow run`.
+/// Joins the run as the stage whose `program` `conicflow run` has started as this process.
 ///
-/// same_frame: those of the further `inputs` of which the message of the same frame is wanted; of the others it is the latest.
+/// same_frame: the further `inputs` whose message of the same frame is wanted; for the others it is the latest message.
 #[pyfunction]
 #[pyo3(signature = (*, same_frame = Vec::new()))]
 pub(crate) fn stage(py: Python<'_>, same_frame: Vec<String>) -> PyResult<Bound<'_, Stage>> {
@@ -72,11 +72,10 @@ impl Stage {
         }
     }
 
-    /// Sends what came of the message: a list of records, a NumPy array of `dtype`, a message as it came, or an image of depths.
+    /// Sends the result for the message: a list of records, a NumPy array of `dtype`, a message as received, or a depth image.
     ///
-    /// The header is that of the message, but for what is given by name: camera, scale, noise, stamp_ns, source, sequence,
-    /// world_from_camera. Waits where a reader must not miss a message and has no room. Raises ValueError for items that no
-    /// reader would take.
+    /// The header is that of the message, except for keyword arguments: camera, scale, noise, stamp_ns, source, sequence,
+    /// world_from_camera. Waits while a lossless reader has no room. Raises ValueError for items that no reader would accept.
     #[pyo3(signature = (items, **header))]
     fn send(slf: &Bound<'_, Self>, items: &Bound<'_, PyAny>, header: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
         let Some(output) = &slf.as_super().get().context.output else {

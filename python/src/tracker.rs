@@ -9,31 +9,31 @@ use pyo3::types::PyList;
 use std::collections::BTreeMap;
 use std::sync::Mutex;
 
-/// Gives the objects of successive frames of one camera, or of several that tell their poses, an identity, a velocity and a
-/// filtered shape.
+/// Tracks objects over successive frames of one camera, or of several cameras with known poses: gives them an identity, a
+/// velocity and a filtered shape.
 ///
-/// parameters: a dictionary with parameters of the node `kalman_tracker`; those that are left out have their defaults.
+/// parameters: a dictionary with parameters of the node `kalman_tracker`; missing ones have their defaults.
 #[pyclass(frozen, name = "Tracker", module = "conicflow")]
 pub(crate) struct PyTracker {
     tracker: Mutex<Tracker>,
     stamps: Mutex<Stamps>,
 }
 
-/// No camera takes frames that are less apart than this ...
+/// No camera takes frames at shorter intervals than this ...
 const TOO_CLOSE_NS: u64 = 100_000;
-/// ... so many times in a row.
+/// ... this many times in a row.
 const TIMES: u32 = 3;
 
-/// Tells stamps in milli- or microseconds from those in nanoseconds.
+/// Detects stamps in milliseconds or microseconds, which should be in nanoseconds.
 #[derive(Default)]
 struct Stamps {
-    /// By the camera's number, the last stamp, and how often in a row it was too close to the one before.
+    /// By camera number: the last stamp, and how many times in a row it was too close to the one before.
     last: BTreeMap<u32, (u64, u32)>,
     has_told: bool,
 }
 
 impl Stamps {
-    /// Whether to warn: once, where frames of a camera seem to come too fast. What stands still or goes back is no stamp.
+    /// Returns whether to warn, once: frames of a camera seem to come too fast. Stamps that stand still or go back are ignored.
     fn look(&mut self, camera: u32, stamp_ns: u64) -> bool {
         let (last, times) = self.last.get(&camera).copied().unwrap_or((stamp_ns, 0));
         let is_close = stamp_ns > last && stamp_ns - last < TOO_CLOSE_NS;
@@ -54,13 +54,14 @@ impl PyTracker {
         Ok(Self { tracker: Mutex::new(Tracker::new(parameters)), stamps: Mutex::default() })
     }
 
-    /// The tracks that are alive after a frame, by identity, in the camera frame.
+    /// Updates the tracks with the objects of a frame; returns the tracks that are alive, by identity, in the camera frame.
     ///
     /// objects: those that `detect` found in the frame.
-    /// stamp_ns: when it was taken, in nanoseconds, a whole number. Where stamps stand still or go back, the parameter
-    ///     `assumed_rate_hz` stands for them.
-    /// world_from_camera: the camera's pose, 3x4 or 4x4, `[R | t]` with t in metres. None: as before, or standing still.
-    /// camera: which of several cameras with poses, by a number. What one of them alone sees, the others do not miss.
+    /// stamp_ns: time of capture in nanoseconds, an integer. If stamps stand still or go back, the parameter
+    ///     `assumed_rate_hz` is used instead.
+    /// world_from_camera: the camera's pose, 3x4 or 4x4, `[R | t]` with t in metres. None: the last pose, or a camera at rest.
+    /// camera: number of the camera, for several cameras with poses. An object that one camera alone sees is not missed by
+    /// others.
     #[pyo3(
         signature = (objects, stamp_ns, world_from_camera = None, camera = None),
         text_signature = "($self, objects, stamp_ns, world_from_camera=None, camera=0)"
@@ -98,13 +99,13 @@ impl PyTracker {
         record::list_of(py, &tracks.map_err(|error| fault::told(&error))?)
     }
 
-    /// It lies in memory of this process.
+    /// Refuses copies: the tracker is memory of this process.
     fn __reduce__(&self) -> PyResult<Py<PyAny>> {
         Err(fault::kind("a Tracker cannot be copied or pickled", "make one where it is used: Tracker(parameters)"))
     }
 }
 
-/// A pose: three rows of four numbers, or the four rows of a matrix for homogeneous coordinates.
+/// Converts a pose: three rows of four numbers, or the four rows of a homogeneous matrix.
 pub(crate) fn pose(given: &Bound<'_, PyAny>) -> PyResult<[[f64; 4]; 3]> {
     let hint = "give `[R | t]`, 3x4 or 4x4, with a rotation R and t in metres: from the camera to the world";
     let rows: Vec<[f64; 4]> = given

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 DEADLINE_S = 120
-"""Whatever a test waits for comes long before."""
+"""Timeout of tests, much longer than any wait should take."""
 
 
 @pytest.fixture(scope="session")
@@ -26,7 +26,7 @@ def conicflow_program():
 
 
 def sdk_of_realsense():
-    """The SDK of RealSense, with the libraries it stands on; without one of them the tests skip and say so."""
+    """Imports the SDK of RealSense with its libraries; without one of them the tests are skipped with a reason."""
     try:
         return importlib.import_module("pyrealsense2")
     except ImportError as error:
@@ -44,7 +44,7 @@ class Playground:
         (self.folder / name).write_text(text)
 
     def script(self, name, text):
-        """Writes a program in Python; what stands in a pipeline file for it."""
+        """Writes a program in Python; returns its command for a pipeline file."""
         self.write(name, text)
         return f'["{sys.executable}", "{name}"]'
 
@@ -77,7 +77,7 @@ class Playground:
 
 @pytest.fixture
 def playground(conicflow_program, tmp_path, monkeypatch):
-    # Its path has to be short: sockets lie there.
+    # Its path has to be short, because it contains sockets.
     with tempfile.TemporaryDirectory(prefix="cf") as memory:
         monkeypatch.setenv("CONICFLOW_RUNTIME_DIR", memory)
         playground = Playground(conicflow_program, tmp_path)

@@ -1,4 +1,4 @@
-"""Pipeline files for the tests: stages of conicflow up to a topic, behind which programs in Python stand."""
+"""Pipeline files for the tests: stages of conicflow up to a topic, followed by programs in Python."""
 
 OBJECTS = """
 name = "tested"

@@ -1,7 +1,7 @@
-"""For the process of a camera's node, as its `sitecustomize`: the SDK finds a software device where the file `plugged` lies.
+"""Installed as `sitecustomize` in the process of a camera node: the SDK finds a software device while the file `plugged` exists.
 
-A word in it says what the device is like: `large` or `small` images; `silent`, it sends none. Each look for devices, and each that is
-found, is a line of the file `looks`.
+A word in the file selects the device: `large` or `small` images, or `silent`, without images. Each search for devices, and each
+device found, adds a line to the file `looks`.
 """
 
 import pathlib
@@ -13,7 +13,7 @@ PLUGGED = pathlib.Path("plugged")
 
 
 class Device:
-    """A software device that is gone when the file is."""
+    """A software device that is lost when the file is removed."""
 
     def __init__(self):
         self._word = PLUGGED.read_text()

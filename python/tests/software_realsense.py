@@ -1,4 +1,4 @@
-"""A RealSense of the SDK's own making, its software device, with the images of `scenes`; and recordings of it."""
+"""A simulated RealSense (the SDK's software device) with the images of `scenes`; and recordings of it."""
 
 import threading
 import time
@@ -42,7 +42,7 @@ class SoftwareRealSense:
         self.sensor.on_video_frame(frame)
 
     def film(self, is_on):
-        """Sends 30 images a second as long as it is on; each has its number."""
+        """Sends 30 numbered images per second while it is on."""
 
         def work():
             number = 0
@@ -56,7 +56,7 @@ class SoftwareRealSense:
 
 
 def record(path, frames):
-    """Has the SDK write a recording of so many images, 30 a second."""
+    """Has the SDK write a recording with a number of images, at 30 Hz."""
     camera = SoftwareRealSense()
     recorder = rs.recorder(str(path), camera.device)
     sensor = recorder.query_sensors()[0]

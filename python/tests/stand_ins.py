@@ -1,5 +1,5 @@
-"""Stand-ins for the SDKs of Orbbec, OAK-D and Azure Kinect: as much of their classes as the adapters call, with the names and the
-units of the SDKs' documentation. What they show is what the adapters make of an SDK, not that the SDK behaves so."""
+"""Stand-ins for the SDKs of Orbbec, OAK-D and Azure Kinect: the parts of their classes that the adapters call, with the names and
+units of the SDKs' documentation. They test how the adapters use an SDK, not how the SDK behaves."""
 
 import datetime
 import sys
@@ -22,7 +22,7 @@ def module(name, **members):
 
 
 class Orbbec:
-    """pyorbbecsdk2: a camera of a profile, whose pipeline gives what a script says."""
+    """pyorbbecsdk2: a camera with one profile, whose pipeline follows a script."""
 
     def __init__(self, script, name="Orbbec Gemini 335", baseline_mm=95.0, distortion=(0.0,) * 8, model="BROWN_CONRADY_K6"):
         self.script, self.name, self.baseline_mm, self.stopped = list(script), name, baseline_mm, False
@@ -69,7 +69,7 @@ class Orbbec:
 
             get_width, get_height = staticmethod(lambda: sdk.size[0]), staticmethod(lambda: sdk.size[1])
             get_stream_profile = staticmethod(lambda: Profile(OBFormat.Y16, *sdk.size, 30, fx=10.0 * sdk.size[0] / WIDTH))
-            get_depth_scale = staticmethod(lambda: 0.1)  # millimetres a unit
+            get_depth_scale = staticmethod(lambda: 0.1)  # millimetres per unit
 
             def get_data(self):
                 return np.frombuffer(pixels(self.value).tobytes(), np.uint8)
@@ -151,7 +151,7 @@ class Orbbec:
 
 
 class OakD:
-    """depthai 3: a camera whose stereo node gives what a script says; `devices` are those that are connected."""
+    """depthai 3: a camera whose stereo node follows a script; `devices` are the connected ones."""
 
     def __init__(self, script, devices=("1844",), baseline_cm=7.5):
         self.script, self.is_running, self.closed, self.built = list(script), True, False, {}
@@ -265,7 +265,7 @@ class OakD:
 
 
 class AzureKinect:
-    """pyk4a: a camera or a recording that gives what a script says."""
+    """pyk4a: a camera or a recording that follows a script."""
 
     def __init__(self, script, serials=("0001",)):
         self.script, self.opened, self.config, self.busy = list(script), [], None, ()
@@ -342,7 +342,7 @@ class AzureKinect:
 
 
 def take_place(monkeypatch, sdk, adapter):
-    """Has an adapter find a stand-in in place of its SDK; the adapter."""
+    """Replaces the SDK of an adapter by a stand-in; returns the adapter."""
     monkeypatch.setitem(sys.modules, sdk.module.__name__, sdk.module)
     monkeypatch.delitem(sys.modules, f"conicflow.cameras.{adapter}", raising=False)
     from conicflow.cameras.__main__ import load

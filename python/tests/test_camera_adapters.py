@@ -1,5 +1,4 @@
-"""What the adapters for Orbbec, OAK-D and Azure Kinect make of their SDKs, for which stand-ins take the place; and what is said of
-an SDK that is not there."""
+"""Tests of the adapters for Orbbec, OAK-D and Azure Kinect with stand-ins for their SDKs; and of the errors without an SDK."""
 
 import json
 import subprocess
@@ -16,7 +15,7 @@ SETTINGS = Settings(None, None, None, None, None, None, stall_s=3.0)
 
 
 def read_all(camera):
-    """What comes before the end, or before nothing more comes."""
+    """Returns the frames until the end, or until no more come."""
     frames = []
     try:
         while (frame := camera.read(0.1)) is not None:

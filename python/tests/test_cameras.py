@@ -1,6 +1,6 @@
-"""The loop that all cameras share: frames, stalls, losses, returns, sizes, rubbish; what is made of clocks and of distorted images.
+"""Tests of the common loop of all cameras (frames, stalls, losses, returns, sizes, invalid frames), of clocks and rectification.
 
-Without a camera and without a pipeline.
+They need no camera and no pipeline.
 """
 
 import time
@@ -34,7 +34,7 @@ def frame(value=1000, lens=LENS, number=None, depth=None):
 
 
 class FakeCamera:
-    """Gives what a script says: a frame, None for a while without one, or an exception that is raised."""
+    """A camera that follows a script: a frame, None for a time without one, or an exception to raise."""
 
     def __init__(self, *script):
         self.name, self.script, self.closed = "fake", list(script), False
@@ -53,7 +53,7 @@ class FakeCamera:
 
 
 class FakeSource:
-    """What the run is to a stream."""
+    """A stand-in for the source of a run."""
 
     def __init__(self, resume_at=0):
         self.resume_at, self.counted, self.sent, self.looks, self.most_looks = resume_at, {}, [], 0, 100
@@ -80,7 +80,7 @@ def quick(monkeypatch):
 
 
 def play(cameras, settings=SETTINGS, source=None, most_looks=100):
-    """All frames of a stream whose camera is opened so often, what it told and counted."""
+    """Returns all frames of a stream with these cameras, its log and its counters."""
     source = source or FakeSource()
     source.most_looks = most_looks
     cameras, told = list(cameras), []
@@ -153,7 +153,7 @@ def test_a_camera_that_stalls_again_and_again_is_told_once():
 def test_a_slow_pipeline_is_no_stall():
     stream = Stream(FakeSource(), lambda: FakeCamera(frame(1), None, frame(2)), SETTINGS, lambda *_: None)
     assert stream.next().depth[0, 0] == 1
-    stream._heard -= 3600.0  # so long the pipeline had no room
+    stream._heard -= 3600.0  # as if the pipeline had had no room for an hour
     assert stream.next().depth[0, 0] == 2
 
 
@@ -189,7 +189,7 @@ def test_another_size_is_told_and_goes_on():
 
 
 def test_frames_that_the_camera_left_out_are_counted():
-    numbers = [3, 4, 7, 8, 1, 2]  # and then it began anew by itself
+    numbers = [3, 4, 7, 8, 1, 2]  # then the camera's numbers restarted
     script = [frame(number=number) for number in numbers]
     _, _, source = play([FakeCamera(*script, EndOfRecording())])
     assert source.counted == {"frames lost": 2} and len(source.sent) == 6
@@ -214,7 +214,7 @@ def test_a_recording_goes_on_where_it_was_and_is_not_begun_anew():
 
 
 def test_a_distorted_image_is_rectified():
-    # A wide lens like that of an Azure Kinect; in the image stands where its pixels are seen.
+    # A wide lens like that of an Azure Kinect; the image contains the positions of its pixels.
     lens = Lens(64, 64, 31.0, 31.0, 31.2, 32.1, (0.4, 0.2, 1e-3, -2e-3, 0.02, 0.7, 0.25, 0.05))
     u, v = np.meshgrid(np.arange(64), np.arange(64))
     for axis, places in (("column", u), ("row", v)):
@@ -236,7 +236,7 @@ def test_a_distorted_image_is_rectified():
 
 
 def test_what_lies_beyond_the_model_is_not_measured():
-    # x (1 - x^2) turns back at 1 / sqrt(3): farther out it would show the middle again.
+    # x (1 - x^2) folds back at 1 / sqrt(3): farther out it would show the middle again.
     lens = Lens(41, 1, 20.0, 20.0, 20.0, 0.0, (-1.0,))
     seen = Rectifier(lens)(np.full((1, 41), 5, np.uint16))[0]
     distances = abs(np.arange(41) - 20) / 20
@@ -246,12 +246,12 @@ def test_what_lies_beyond_the_model_is_not_measured():
 def test_stamps_of_a_clock_of_its_own():
     clock, second = DeviceClock(), 10**9
     assert clock.stamp_ns(5 * second, now_ns=100 * second) == 100 * second
-    # The next comes late; the one after that is faster than the first.
+    # The next image comes late; the one after that has a smaller delay than the first.
     assert clock.stamp_ns(6 * second, now_ns=101 * second + 30_000_000) == pytest.approx(101 * second, abs=200_000)
     assert clock.stamp_ns(7 * second, now_ns=102 * second - 5_000_000) == 102 * second - 5_000_000
-    # It begins anew.
+    # The clock restarts.
     assert clock.stamp_ns(0, now_ns=103 * second) == 103 * second
-    # It goes slower by 50 in a million, for an hour.
+    # The clock is slow by 50 ppm, for an hour.
     for step in range(1, 3601):
         now = 103 * second + step * second
         stamp = clock.stamp_ns(round(step * second * (1 - 5e-5)), now_ns=now)

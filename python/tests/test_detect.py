@@ -1,4 +1,4 @@
-"""The detector and the tracker on arrays: the same to the bit as the program, whatever the stride, and clear errors."""
+"""Tests of the detector and the tracker on arrays: results equal to the program's bit for bit, any stride, clear errors."""
 
 import copy
 import datetime
@@ -58,7 +58,7 @@ def test_metres_are_as_good_as_units():
 
 
 def strided(frame):
-    """The same pixels, lying in memory in other ways."""
+    """Yields the same pixels with other memory layouts."""
     yield np.asfortranarray(frame)
     yield np.repeat(frame, 2, axis=1)[:, ::2]
     yield np.ascontiguousarray(frame[::-1, ::-1])[::-1, ::-1]
@@ -397,7 +397,7 @@ def test_the_tracker_tells_what_it_cannot_use():
 
 
 def test_other_threads_go_on_while_it_works():
-    """Without giving the lock free, `count` would not come to anything before the detection is over."""
+    """If the lock were held, `count` would make no progress before the detection is over."""
     frame = np.tile(scenes.millimetres(), (4, 4))
     counted, done = [0], threading.Event()
     started = threading.Event()
@@ -433,7 +433,7 @@ def test_threads_get_the_same_from_one_detector():
 
 
 def test_without_numpy_there_is_a_hint():
-    """Its place is taken by one that is not there."""
+    """NumPy is replaced by a module that does not exist."""
     program = "import sys\nsys.modules['numpy'] = None\nimport conicflow"
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert ended.returncode == 1

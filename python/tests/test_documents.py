@@ -1,4 +1,4 @@
-"""What the documents say of Python, run word for word: the blocks of `docs/python.md` and `examples/camera.toml`."""
+"""Runs the Python examples of the documents word for word: the blocks of `docs/python.md`, and `examples/camera.toml`."""
 
 import json
 import os
@@ -20,7 +20,7 @@ README, PYTHON = (path.read_text() for path in (ROOT / "README.md", ROOT / "docs
 
 
 def blocks(language, section):
-    """The blocks of a section, each as it stands."""
+    """Returns the blocks of a section."""
     text = PYTHON.split(f"\n## {section}\n")[1].split("\n## ")[0]
     return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
 
@@ -34,7 +34,7 @@ def test_objects_are_found_as_the_document_says(capsys):
 
 def test_the_stage_of_the_document_passes_on_the_nearest_objects(playground, monkeypatch):
     (script,), (stage,) = blocks("python", "A stage"), blocks("toml", "A stage")
-    # `python3` is the one that has the package.
+    # `python3` has to be the one with the package.
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
     playground.write("nearest.py", script)
     sink = '[stage.written]\nnode = "json_sink"\ninput = { topic = "nearest", delivery = "lossless", kind = "objects" }\n'
@@ -81,7 +81,7 @@ def test_who_has_a_camera_runs_the_example(playground, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(site), str(here)]))
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
     shutil.copytree(ROOT / "examples", playground.folder / "examples")
-    # A stage runs in the folder of the pipeline file, and there the device looks for what is plugged.
+    # A stage runs in the folder of the pipeline file, where the software device looks for the file `plugged`.
     playground.write("examples/plugged", "large")
     out, told = playground.run(*arguments, "--frames", 20)
     assert "Software RealSense" in told and len(out.splitlines()) > 5, told

@@ -1,4 +1,4 @@
-"""Processes that are forked from one that reads or takes part: what they inherit is not theirs, and they leave it alone."""
+"""Tests of processes that are forked from a reader or a stage: they do not own what they inherit, and leave it alone."""
 
 import subprocess
 import sys

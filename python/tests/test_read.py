@@ -1,4 +1,4 @@
-"""Live topics: what comes is what the pipeline's own sinks write; images are lent, cannot be written, and are bounded."""
+"""Tests of live topics: messages equal the output of the pipeline's sinks; images are lent, read-only, and limited in number."""
 
 import gc
 import itertools
@@ -16,7 +16,7 @@ import conicflow
 
 @pytest.fixture
 def running(playground):
-    """A pipeline that runs at 50 frames a second until it is told to end."""
+    """Starts a pipeline that runs at 50 Hz until it is stopped."""
     playground.write("pipeline.toml", OBJECTS.format(rate_hz=50))
     process = playground.start("run", "--quiet")
     playground.wait_until("there are objects", lambda: (playground.folder / "objects.jsonl").exists())
@@ -175,13 +175,13 @@ def test_without_a_pipeline_there_is_a_hint(playground):
 
 
 def test_ctrl_c_ends_a_reader_that_waits(playground):
-    """Nothing comes any more, and Python's own exception is raised."""
+    """While no messages come, Python raises KeyboardInterrupt."""
     playground.write("pipeline.toml", OBJECTS.format(rate_hz="1e-3"))
     process = playground.start("run", "--quiet")
     playground.wait_until("there are objects", lambda: (playground.folder / "objects.jsonl").exists())
     program = (
         "import conicflow, os, signal, threading\n"
-        # Of what a shell starts in the background, SIGINT is ignored: Python leaves it so, and the reader would wait for ever.
+        # A shell starts background processes with SIGINT ignored, and Python keeps that: the reader would wait for ever.
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "reader = conicflow.read('objects')\n"
         "try:\n"

@@ -1,4 +1,4 @@
-"""Stages and sources in Python: the rights and duties of those in Rust."""
+"""Tests of stages and sources in Python, which behave like those in Rust."""
 
 import json
 import signal

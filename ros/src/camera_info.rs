@@ -3,42 +3,42 @@
 use crate::{Reader, Stamped, Undecodable, Writer};
 use conicflow_messages::Camera;
 
-/// What a camera tells of itself.
+/// The calibration of a camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraInfo {
     /// Size of the full image, in pixels.
     pub width: u32,
     /// Size of the full image, in pixels.
     pub height: u32,
-    /// Coefficients of the distortion of the raw image.
+    /// Distortion coefficients of the raw image.
     pub distortion: Vec<f64>,
     /// Intrinsics of the raw image, row-major: fx 0 cx, 0 fy cy, 0 0 1.
     pub k: [f64; 9],
     /// Projection to the rectified image, row-major 3x4: fx 0 cx .., 0 fy cy .., 0 0 1 ..
     pub p: [f64; 12],
-    /// Pixels of the full image in one of the image, across and down; 0 stands for 1.
+    /// Pixels of the full image per pixel of the image, horizontally and vertically; 0 stands for 1.
     pub binning: [u32; 2],
-    /// Where in the full image the region begins that the image shows: x, y.
+    /// Origin (x, y) in the full image of the region that the image shows.
     pub offset: [u32; 2],
-    /// Size of that region: width, height; 0 stands for all that is left of the full image.
+    /// Size of that region (width, height); 0 stands for the rest of the full image.
     pub region: [u32; 2],
 }
 
-/// An image that is distorted, so that it is not that of a pinhole.
+/// An image that is distorted, and so not that of a pinhole camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Unrectified {
-    /// The coefficients.
+    /// The distortion coefficients.
     pub distortion: Vec<f64>,
 }
 
 impl CameraInfo {
-    /// Most coefficients of a distortion; ROS knows models with 4, 5, 8 and, of OpenCV, 14.
+    /// Maximum number of distortion coefficients; ROS has models with 4, 5 and 8, and OpenCV's with 14.
     const MOST_COEFFICIENTS: u32 = 64;
 
     /// Reads a message.
     ///
     /// # Errors
-    /// It is none.
+    /// It is no such message.
     pub fn read(message: &[u8]) -> Result<Self, Undecodable> {
         let mut reader = Reader::new(message)?;
         reader.stamped()?;
@@ -56,14 +56,14 @@ impl CameraInfo {
         Ok(Self { width, height, distortion, k, p, binning, offset, region: [region_width, region_height] })
     }
 
-    /// Whether it tells a camera: a driver that is not ready yet, or has not been calibrated, leaves numbers at zero.
+    /// Whether the camera is calibrated: a driver that is not ready, or not calibrated, leaves numbers at zero.
     pub fn is_calibrated(&self) -> bool {
         let has_focal_lengths = |matrix: &[f64]| matrix[0] > 0.0 && matrix[matrix.len() / 3 + 1] > 0.0;
         self.width > 0 && self.height > 0 && (has_focal_lengths(&self.k) || has_focal_lengths(&self.p))
     }
 
-    /// The camera of images of this size: of rectified ones by the projection, of raw ones by the intrinsics, if these have no
-    /// distortion.
+    /// Returns the camera of images of this size: for rectified images from the projection, for raw ones from the intrinsics, if
+    /// these have no distortion.
     ///
     /// # Errors
     /// The raw image is distorted.
@@ -79,15 +79,15 @@ impl CameraInfo {
         };
         let [bin_x, bin_y] = self.binning.map(|pixels| f64::from(pixels.max(1)));
         let [x, y] = self.offset.map(f64::from);
-        // As `image_geometry` of ROS has it, which everybody uses: a bin is told by its first pixel.
+        // Like `image_geometry` of ROS, which everybody uses: a bin is represented by its first pixel.
         Ok(Camera { width, height, fx: fx / bin_x, fy: fy / bin_y, cx: (cx - x) / bin_x, cy: (cy - y) / bin_y })
     }
 
-    /// Whether images of this size are those of the camera: of its full image or of the region, in its bins. A bin at the edge may
-    /// be left out or not.
+    /// Whether images of this size match the camera: its full image or its region, after binning. A partial bin at the edge may
+    /// be included or not.
     ///
     /// # Errors
-    /// They are of another size; width and height of those that it is for.
+    /// The images have another size; returns the expected width and height.
     pub fn fits(&self, (width, height): (u32, u32)) -> Result<(), (u32, u32)> {
         let along = |full: u32, axis: usize| match self.region[axis] {
             0 => full.saturating_sub(self.offset[axis]),
@@ -101,7 +101,7 @@ impl CameraInfo {
         if is_one(0, width) && is_one(1, height) { Ok(()) } else { Err(expected) }
     }
 
-    /// A message for the rectified image of a camera.
+    /// Encodes a message for the rectified image of a camera.
     pub fn write(stamped: Stamped<'_>, camera: &Camera, memory: Vec<u8>) -> Vec<u8> {
         let &Camera { width, height, fx, fy, cx, cy } = camera;
         let mut writer = Writer::new(memory);
@@ -115,15 +115,15 @@ impl CameraInfo {
     }
 }
 
-/// Where the CameraInfo of an image topic is looked for: beside the images, also of those that a compressed one was made of, and
-/// below them.
+/// The topics where the CameraInfo of an image topic may be: beside the images, beside the images that a compressed one was made
+/// from, and below the image topic.
 pub fn camera_info_topics(topic: &str) -> [String; 3] {
     let above = |topic: &str| topic.rsplit_once('/').map_or("", |(above, _)| above).to_owned();
     let folder = above(topic);
     [format!("{folder}/camera_info"), format!("{}/camera_info", above(&folder)), format!("{topic}/camera_info")]
 }
 
-/// Whether the name of a topic says that its images are rectified, as by custom of image_proc and drivers.
+/// Whether the name of a topic says that its images are rectified, by the convention of image_proc and drivers.
 pub fn is_rectified(topic: &str) -> bool {
     topic.split('/').any(|part| part.contains("rect"))
 }
@@ -181,7 +181,7 @@ mod tests {
     #[test]
     fn the_region_is_read_as_width_and_height() {
         let mut message = CameraInfo::write(Stamped::default(), &CAMERA, Vec::new());
-        // The last numbers are x, y, height and width of the region, and whether it is rectified.
+        // The last numbers are x, y, height and width of the region, and the flag for rectification.
         let at = message.len() - 17;
         for (place, number) in (at..).step_by(4).zip([1_u32, 2, 3, 4]) {
             message[place..place + 4].copy_from_slice(&number.to_le_bytes());

@@ -1,25 +1,25 @@
-//! Common data representation, as ROS 2 writes it: a header of four bytes that tells the byte order, then numbers at multiples
-//! of their size, text with its length and a zero byte, lists with their length.
+//! Common data representation (CDR) as ROS 2 uses it: a header of four bytes with the byte order, then numbers aligned to their
+//! size, text with its length and a zero byte, lists with their length.
 //!
 //! Source: OMG DDSI-RTPS 2.3, section 10 (encapsulation), and CORBA 3.0, chapter 15.3 (CDR).
 
-/// Length of the encapsulation header; what follows is aligned from there.
+/// Length of the encapsulation header; alignment counts from its end.
 const HEADER_BYTES: usize = 4;
 const NANOSECONDS: u64 = 1_000_000_000;
 
-/// Why bytes are no message of the type that they should be, or one that cannot be used.
+/// Why bytes are no message of the expected type, or one that cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct Undecodable(pub String);
 
 impl Undecodable {
-    /// A fault with what to do about it.
+    /// A fault with a hint.
     pub(crate) fn hinted(what: &str, hint: &str) -> Self {
         Self(format!("{what}\n  hint: {hint}"))
     }
 }
 
-/// Takes values out of a message, one after the other.
+/// Decodes the values of a message one by one.
 #[derive(Clone, Debug)]
 pub struct Reader<'a> {
     bytes: &'a [u8],
@@ -27,20 +27,20 @@ pub struct Reader<'a> {
     is_big_endian: bool,
 }
 
-/// What begins most messages: when something was so, and in which frame of coordinates.
+/// The header of most messages: a time and a coordinate frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Stamped<'a> {
-    /// Nanoseconds since the Unix epoch, or since the clock began.
+    /// Nanoseconds since the Unix epoch, or since the clock started.
     pub stamp_ns: u64,
-    /// Name of the frame of coordinates.
+    /// Name of the coordinate frame.
     pub frame_id: &'a str,
 }
 
 impl<'a> Reader<'a> {
-    /// A reader of a whole message.
+    /// Starts to read a message.
     ///
     /// # Errors
-    /// It does not begin as a message in plain CDR does.
+    /// The message does not begin as one in plain CDR.
     pub fn new(message: &'a [u8]) -> Result<Self, Undecodable> {
         let is_big_endian = match message {
             [0, 0, _, _, ..] => true,
@@ -56,7 +56,7 @@ impl<'a> Reader<'a> {
         Ok(Self { bytes: &message[HEADER_BYTES..], at: 0, is_big_endian })
     }
 
-    /// The next `N` bytes, from a multiple of `N` on.
+    /// Reads the next `N` bytes, aligned to `N`.
     fn number<const N: usize>(&mut self) -> Result<[u8; N], Undecodable> {
         self.at = self.at.next_multiple_of(N);
         let mut number = [0; N];
@@ -81,71 +81,71 @@ impl<'a> Reader<'a> {
         Ok(taken)
     }
 
-    /// A byte.
+    /// Reads a byte.
     ///
     /// # Errors
-    /// The message ends before, as with all below.
+    /// The message is too short.
     pub fn u8(&mut self) -> Result<u8, Undecodable> {
         Ok(self.number::<1>()?[0])
     }
 
-    /// A number of four bytes.
+    /// Reads a number of four bytes.
     ///
     /// # Errors
-    /// The message ends before.
+    /// The message is too short.
     pub fn u32(&mut self) -> Result<u32, Undecodable> {
         Ok(u32::from_le_bytes(self.number()?))
     }
 
-    /// A signed number of four bytes.
+    /// Reads a signed number of four bytes.
     ///
     /// # Errors
-    /// The message ends before.
+    /// The message is too short.
     pub fn i32(&mut self) -> Result<i32, Undecodable> {
         Ok(i32::from_le_bytes(self.number()?))
     }
 
-    /// A number of eight bytes.
+    /// Reads a number of eight bytes.
     ///
     /// # Errors
-    /// The message ends before.
+    /// The message is too short.
     pub fn f64(&mut self) -> Result<f64, Undecodable> {
         Ok(f64::from_le_bytes(self.number()?))
     }
 
-    /// Several numbers.
+    /// Reads several numbers.
     ///
     /// # Errors
-    /// The message ends before.
+    /// The message is too short.
     pub fn f64s<const N: usize>(&mut self) -> Result<[f64; N], Undecodable> {
         let mut numbers = [0.0; N];
         numbers.iter_mut().try_for_each(|number| self.f64().map(|read| *number = read))?;
         Ok(numbers)
     }
 
-    /// Bytes with their number before.
+    /// Reads bytes that are preceded by their number.
     ///
     /// # Errors
-    /// The message ends before.
+    /// The message is too short.
     pub fn bytes(&mut self) -> Result<&'a [u8], Undecodable> {
         let length = self.u32()?;
         self.take(length as usize)
     }
 
-    /// Text with its length before.
+    /// Reads text that is preceded by its length.
     ///
     /// # Errors
-    /// The message ends before, or this is not UTF-8.
+    /// The message is too short, or the text is not UTF-8.
     pub fn text(&mut self) -> Result<&'a str, Undecodable> {
         let bytes = self.bytes()?;
         let text = bytes.strip_suffix(&[0]).unwrap_or(bytes);
         std::str::from_utf8(text).map_err(|_| Undecodable("a text that is not UTF-8".to_owned()))
     }
 
-    /// A point in time, in nanoseconds.
+    /// Reads a time, in nanoseconds.
     ///
     /// # Errors
-    /// The message ends before, or the time is before its epoch.
+    /// The message is too short, or the time is before its epoch.
     pub fn stamp_ns(&mut self) -> Result<u64, Undecodable> {
         let (seconds, nanoseconds) = (self.i32()?, self.u32()?);
         let seconds = u64::try_from(seconds);
@@ -153,28 +153,28 @@ impl<'a> Reader<'a> {
         Ok(seconds * NANOSECONDS + u64::from(nanoseconds))
     }
 
-    /// The header of a message.
+    /// Reads the header of a message.
     ///
     /// # Errors
-    /// The message ends before.
+    /// The message is too short, or its header is faulty.
     pub fn stamped(&mut self) -> Result<Stamped<'a>, Undecodable> {
         Ok(Stamped { stamp_ns: self.stamp_ns()?, frame_id: self.text()? })
     }
 }
 
-/// Puts values into a message, one after the other, least significant byte first.
+/// Encodes the values of a message one by one, in little-endian order.
 #[derive(Clone, Debug)]
 pub struct Writer(Vec<u8>);
 
 impl Writer {
-    /// A message in memory that was used before.
+    /// Starts a message in reused memory.
     pub fn new(mut memory: Vec<u8>) -> Self {
         memory.clear();
         memory.extend([0, 1, 0, 0]);
         Self(memory)
     }
 
-    /// The message.
+    /// Returns the message.
     pub fn finish(self) -> Vec<u8> {
         self.0
     }
@@ -186,32 +186,32 @@ impl Writer {
         self
     }
 
-    /// A byte.
+    /// Writes a byte.
     pub fn u8(&mut self, number: u8) -> &mut Self {
         self.number([number])
     }
 
-    /// A number of four bytes.
+    /// Writes a number of four bytes.
     pub fn u32(&mut self, number: u32) -> &mut Self {
         self.number(number.to_le_bytes())
     }
 
-    /// A signed number of four bytes.
+    /// Writes a signed number of four bytes.
     pub fn i32(&mut self, number: i32) -> &mut Self {
         self.number(number.to_le_bytes())
     }
 
-    /// Numbers of four bytes.
+    /// Writes numbers of four bytes.
     pub fn f32s(&mut self, numbers: &[f32]) -> &mut Self {
         numbers.iter().fold(self, |writer, number| writer.number(number.to_le_bytes()))
     }
 
-    /// Numbers of eight bytes.
+    /// Writes numbers of eight bytes.
     pub fn f64s(&mut self, numbers: &[f64]) -> &mut Self {
         numbers.iter().fold(self, |writer, number| writer.number(number.to_le_bytes()))
     }
 
-    /// Numbers of so many bytes each, as this machine has them in memory.
+    /// Writes numbers of `size` bytes each, given in this machine's byte order.
     pub fn numbers(&mut self, size: usize, bytes: &[u8]) -> &mut Self {
         let end = (self.0.len() - HEADER_BYTES).next_multiple_of(size) + HEADER_BYTES;
         self.0.resize(end, 0);
@@ -222,20 +222,20 @@ impl Writer {
         self
     }
 
-    /// Bytes with their number before, as they come.
+    /// Writes bytes, preceded by their number.
     pub fn bytes(&mut self, length: usize, bytes: impl Iterator<Item = u8>) -> &mut Self {
         self.length(length);
         self.0.extend(bytes);
         self
     }
 
-    /// Number of the items of a list, which follow.
+    /// Writes the number of items of a list, which follow.
     pub fn length(&mut self, length: usize) -> &mut Self {
-        // No list of ours is longer: an image has 2^26 pixels at most.
+        // No list is longer: an image has 2^26 pixels at most.
         self.u32(u32::try_from(length).unwrap_or(u32::MAX))
     }
 
-    /// Text with its length before.
+    /// Writes text, preceded by its length.
     pub fn text(&mut self, text: &str) -> &mut Self {
         self.length(text.len() + 1);
         self.0.extend(text.as_bytes());
@@ -243,13 +243,13 @@ impl Writer {
         self
     }
 
-    /// A point in time. Seconds are of 32 bits in ROS 2: what is beyond the year 2038 stays there.
+    /// Writes a time. ROS 2 has seconds of 32 bits: times after 2038 become the last one.
     pub fn stamp_ns(&mut self, stamp_ns: u64) -> &mut Self {
         let seconds = i32::try_from(stamp_ns / NANOSECONDS).unwrap_or(i32::MAX);
         self.i32(seconds).u32((stamp_ns % NANOSECONDS) as u32)
     }
 
-    /// The header of a message.
+    /// Writes the header of a message.
     pub fn stamped(&mut self, stamped: Stamped<'_>) -> &mut Self {
         self.stamp_ns(stamped.stamp_ns).text(stamped.frame_id)
     }
@@ -265,7 +265,7 @@ mod tests {
         writer.stamped(Stamped { stamp_ns: 5_000_000_006, frame_id: "camera" }).u8(9).f64s(&[1.5]).u32(3).i32(-2);
         writer.bytes(3, [1, 2, 3].into_iter()).text("");
         let little = writer.finish();
-        // The same by hand, most significant byte first.
+        // The same by hand, in big-endian order.
         let mut big = vec![0, 0, 0, 0, 0, 0, 0, 5, 0, 0, 0, 6, 0, 0, 0, 7];
         big.extend(b"camera\0\x09\0\0\0\0");
         big.extend(1.5_f64.to_be_bytes());

@@ -1,5 +1,5 @@
-//! `sensor_msgs/CompressedImage` as the plugin `compressedDepth` of image_transport writes it: 12 bytes that tell how depths in
-//! metres were made whole numbers, then a PNG or RVL.
+//! `sensor_msgs/CompressedImage` as written by the plugin `compressedDepth` of image_transport: 12 bytes with the quantisation of
+//! depths in metres, then a PNG or RVL image.
 //!
 //! Source: ros-perception/image_transport_plugins, `compressed_depth_image_transport/src/codec.cpp`.
 
@@ -8,7 +8,7 @@ use crate::{Reader, Stamped, Undecodable, rvl};
 use png::{BitDepth, ColorType, Decoder, Limits};
 use std::io::Cursor;
 
-/// Bytes that a PNG may make the decoder allocate beside the image.
+/// Memory that the decoder of a PNG may allocate besides the image.
 const PNG_MEMORY_BYTES: usize = 64 << 20;
 
 /// A compressed image.
@@ -16,12 +16,12 @@ const PNG_MEMORY_BYTES: usize = 64 << 20;
 pub struct CompressedImage<'a> {
     /// Time of capture and frame of the camera.
     pub stamped: Stamped<'a>,
-    /// The pixels' encoding and the code, such as `16UC1; compressedDepth png`.
+    /// The encoding of the pixels and the compression, such as `16UC1; compressedDepth png`.
     pub format: &'a str,
     data: &'a [u8],
 }
 
-/// How the image was compressed.
+/// The compression of the image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Code {
     Png,
@@ -29,16 +29,16 @@ enum Code {
 }
 
 impl<'a> CompressedImage<'a> {
-    /// Reads a message; its pixels are not looked at yet.
+    /// Decodes a message without its pixels.
     ///
     /// # Errors
-    /// It is none.
+    /// It is no such message.
     pub fn read(message: &'a [u8]) -> Result<Self, Undecodable> {
         let mut reader = Reader::new(message)?;
         Ok(Self { stamped: reader.stamped()?, format: reader.text()?, data: reader.bytes()? })
     }
 
-    /// Whether it says that it is a depth image.
+    /// Whether its format is that of a depth image.
     pub fn is_depth(&self) -> bool {
         self.format.contains("compressedDepth")
     }
@@ -60,10 +60,10 @@ impl<'a> CompressedImage<'a> {
         })
     }
 
-    /// Width, height and depths of the pixels.
+    /// Decodes the width, the height and the depths.
     ///
     /// # Errors
-    /// This is no compressed depth image, or it is damaged.
+    /// It is no compressed depth image, or it is damaged.
     pub fn depths(&self) -> Result<((u32, u32), Depths), Undecodable> {
         let (encoding, code) = self.encoding()?;
         let Some((&[_, _, _, _, a0, a1, a2, a3, b0, b1, b2, b3], image)) = self.data.split_first_chunk::<12>() else {
@@ -77,7 +77,7 @@ impl<'a> CompressedImage<'a> {
         if encoding != Encoding::Metres {
             return Ok((size, Depths::Units(units)));
         }
-        // Inverse depth in equal steps: v = a / z + b, 0 for none.
+        // Inverse depth in equal steps: v = a / z + b; 0: no measurement.
         let metres = |v: u16| if v == 0 { f32::NAN } else { a / (f32::from(v) - b) };
         Ok((size, Depths::Metres(units.into_iter().map(metres).collect())))
     }

@@ -1,4 +1,4 @@
-//! `vision_msgs/Detection3DArray`: what was found, with its pose, how sure that is, and a box around it.
+//! `vision_msgs/Detection3DArray`: objects with pose, covariance and bounding box.
 
 use crate::markers::turned_to;
 use crate::transforms::write_pose;
@@ -6,11 +6,11 @@ use crate::{Marked, Stamped, Writer};
 use conicflow_messages::{Object, ObjectKind};
 use std::f64::consts::PI;
 
-/// Variance of an angle of which nothing is known: all of a turn are alike.
+/// Variance of an unknown angle: uniform over a full turn.
 const UNKNOWN_ANGLE: f64 = PI * PI / 3.0;
 
-/// A message that tells these items. Of each it has the shape's name with its confidence, the pose of its middle with z along
-/// the axis and a covariance, the box around it that lies as it does, and its number where it has one.
+/// Encodes a message with these items. Each has its shape's name and confidence, the pose of its centre with z along the axis, a
+/// covariance, the bounding box in the same orientation, and the item's id if it has one.
 pub fn detections<T: Marked>(stamped: Stamped<'_>, items: &[T], memory: Vec<u8>) -> Vec<u8> {
     let mut writer = Writer::new(memory);
     writer.stamped(stamped).length(items.len());
@@ -26,8 +26,9 @@ pub fn detections<T: Marked>(stamped: Stamped<'_>, items: &[T], memory: Vec<u8>)
     writer.finish()
 }
 
-/// Covariance of x, y, z and of small turns about these axes, row-major. Across the axis an angle is known by half of the
-/// square of the angle between the axis and the true one; of the turn about the axis, and of all turns of a sphere, nothing is.
+/// Covariance of x, y, z and of small rotations about these axes, row-major. The variance of an angle across the axis is half of
+/// the mean squared angle between the estimated and the true axis. The rotation about the axis, and all rotations of a sphere,
+/// are unknown.
 fn covariance(object: &Object) -> [[f64; 6]; 6] {
     let mut covariance = [[0.0; 6]; 6];
     let across = 0.5 * object.sigma.axis * object.sigma.axis;
@@ -46,7 +47,7 @@ fn covariance(object: &Object) -> [[f64; 6]; 6] {
     covariance
 }
 
-/// Size of the box around an object, whose z is its axis.
+/// Size of the bounding box of an object, with z along its axis.
 fn size(object: &Object) -> [f64; 3] {
     let width = 2.0 * object.radius;
     match object.shape() {

@@ -1,24 +1,24 @@
-//! `sensor_msgs/Image` with a depth image in it: whole numbers of 16 bits, or metres.
+//! `sensor_msgs/Image` with a depth image: 16-bit integers, or metres.
 
 use crate::{Reader, Stamped, Undecodable, Writer};
 use conicflow_messages::{MAX_PIXELS, MAX_SIDE_PX, finest_scale, is_too_far, quantise};
 
-/// Millimetres, as ROS has depth in whole numbers (REP 118).
+/// Millimetres, the unit of integer depths in ROS (REP 118).
 const UNIT_M: f64 = 0.001;
 
-/// How a pixel is written.
+/// The encoding of a pixel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Encoding {
-    /// `16UC1`: whole numbers, by custom millimetres (REP 118); 0: no measurement.
+    /// `16UC1`: integers, by convention millimetres (REP 118); 0: no measurement.
     Units,
-    /// `mono16`: the same bytes, but as often the brightness of an infrared image.
+    /// `mono16`: the same bytes, but often the brightness of an infrared image.
     Mono,
-    /// `32FC1`: metres; not a number: no measurement.
+    /// `32FC1`: metres; NaN: no measurement.
     Metres,
 }
 
 impl Encoding {
-    /// What an image with these words in its message is; none: no depth image.
+    /// Returns the encoding of this name, or `None` if it is not one of depth images.
     pub fn of(words: &str) -> Option<Self> {
         match words {
             "16UC1" => Some(Self::Units),
@@ -36,15 +36,15 @@ impl Encoding {
 /// The pixels of a depth image, row by row.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Depths {
-    /// In whole units of some length.
+    /// In integer units of some length.
     Units(Vec<u16>),
     /// In metres.
     Metres(Vec<f32>),
 }
 
 impl Depths {
-    /// The pixels as depth images travel. `depth_scale` is the length of a whole unit, or of one in single precision; by custom a
-    /// millimetre, or a metre.
+    /// Converts the pixels to integer units. `depth_scale` is the length of an integer unit, or of 1.0 in single precision, in
+    /// metres; by convention a millimetre or a metre, respectively.
     pub fn in_units(self, depth_scale: Option<f64>) -> Units {
         match self {
             Self::Units(pixels) => Units { pixels, depth_scale: depth_scale.unwrap_or(UNIT_M), too_far: 0 },
@@ -60,14 +60,14 @@ impl Depths {
     }
 }
 
-/// The pixels of a depth image as such images travel.
+/// The pixels of a depth image in integer units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Units {
     /// Row by row, in units of `depth_scale`.
     pub pixels: Vec<u16>,
     /// The unit in metres.
     pub depth_scale: f64,
-    /// How many measurements were left out, because there are not so many units.
+    /// Number of measurements beyond the range of the units, which were dropped.
     pub too_far: u64,
 }
 
@@ -76,23 +76,23 @@ pub struct Units {
 pub struct Image<'a> {
     /// Time of capture and frame of the camera.
     pub stamped: Stamped<'a>,
-    /// In pixels.
+    /// Width in pixels.
     pub width: u32,
-    /// In pixels.
+    /// Height in pixels.
     pub height: u32,
-    /// How pixels are written, in ROS's words.
+    /// The encoding of the pixels, by its ROS name.
     pub encoding: &'a str,
     is_big_endian: bool,
-    /// Bytes of a row, padding included.
+    /// Bytes per row, with padding.
     step: u32,
     data: &'a [u8],
 }
 
 impl<'a> Image<'a> {
-    /// Reads a message; its pixels are not looked at yet.
+    /// Decodes a message without its pixels.
     ///
     /// # Errors
-    /// It is none, or too large to be one.
+    /// It is no such message, or the image is too large.
     pub fn read(message: &'a [u8]) -> Result<Self, Undecodable> {
         let mut reader = Reader::new(message)?;
         let stamped = reader.stamped()?;
@@ -102,10 +102,10 @@ impl<'a> Image<'a> {
         Ok(Self { stamped, width, height, encoding, is_big_endian, step, data: reader.bytes()? })
     }
 
-    /// How the pixels of a message are encoded, however many it says that there are.
+    /// Returns the encoding of a message's pixels, without checking its size.
     ///
     /// # Errors
-    /// It is none.
+    /// It is no such message.
     pub fn encoding_of(message: &'a [u8]) -> Result<&'a str, Undecodable> {
         let mut reader = Reader::new(message)?;
         reader.stamped()?;
@@ -113,10 +113,10 @@ impl<'a> Image<'a> {
         reader.text()
     }
 
-    /// The depths of the pixels.
+    /// Decodes the depths of the pixels.
     ///
     /// # Errors
-    /// This is no depth image, or it has too few bytes.
+    /// It is no depth image, or has too few bytes.
     pub fn depths(&self) -> Result<Depths, Undecodable> {
         let Some(encoding) = Encoding::of(self.encoding) else {
             let what = format!("pixels are `{}`, expected `16UC1`, `32FC1` or `mono16`", self.encoding);
@@ -141,10 +141,10 @@ impl<'a> Image<'a> {
     }
 }
 
-/// Whether an image can be so large.
+/// Checks the size of an image.
 ///
 /// # Errors
-/// It cannot.
+/// It is out of range.
 pub(crate) fn check_size(width: u32, height: u32) -> Result<(), Undecodable> {
     let side = |pixels| (1..=MAX_SIDE_PX).contains(&pixels);
     if side(width) && side(height) && u64::from(width) * u64::from(height) <= MAX_PIXELS {
@@ -171,13 +171,13 @@ fn numbers<'a, const N: usize, T>(
         .collect()
 }
 
-/// A message with a depth image in whole millimetres.
+/// Encodes a message with a depth image in integer millimetres.
 pub fn write_units(stamped: Stamped<'_>, (width, height): (u32, u32), pixels: &[u16], memory: Vec<u8>) -> Vec<u8> {
     let data = pixels.iter().flat_map(|pixel| pixel.to_le_bytes());
     write(stamped, (width, height), "16UC1", (2, data), memory)
 }
 
-/// A message with a depth image in metres.
+/// Encodes a message with a depth image in metres.
 pub fn write_metres(
     stamped: Stamped<'_>,
     (width, height): (u32, u32),

@@ -1,13 +1,12 @@
-//! ROS 2 messages as the bytes that recordings and networks carry, in common data representation (CDR): depth images with
-//! their cameras and poses to be read and written, and what was found as detections, and as markers to be looked at.
+//! ROS 2 messages as bytes in recordings and networks, in common data representation (CDR): reads and writes depth images with
+//! their cameras and poses, and writes results as detections and as markers.
 //!
-//! Nothing here knows files, transports or ROS itself. In the order in which a reader of a recording meets them:
-//! [`Image`], [`CompressedImage`] and [`PointCloud`] give [`Depths`], [`CameraInfo`] gives the intrinsics, [`Transforms`] the
-//! camera's pose; [`detections`] tells a list of objects, [`write_list`] all numbers of any list, and [`markers`] draws it, as
-//! [`surface_points`] does for viewers without markers. [`definition`] has the text of each message type that others made.
+//! Nothing here uses files, transports or ROS itself. In the order in which a reader of a recording meets them: [`Image`],
+//! [`CompressedImage`] and [`PointCloud`] give [`Depths`], [`CameraInfo`] the intrinsics, [`Transforms`] the camera's pose;
+//! [`detections`] writes a list of objects, [`write_list`] any list with all its numbers, [`markers`] a drawing for viewers, and
+//! [`surface_points`] one for viewers without markers. [`definition`] has the definition of each foreign message type.
 //!
-//! Numbers in these messages are those of other programs: whatever is too long, of an unknown encoding or not finite is an
-//! error.
+//! Numbers in these messages come from other programs: sizes out of range, unknown encodings and non-finite numbers are errors.
 
 mod camera_info;
 mod cdr;

@@ -1,34 +1,34 @@
-//! A list of items as a message of ROS 2 of a type of its own, with all numbers by name: its definition and its bytes follow from
-//! the same names and values, which are those of the list's JSON.
+//! A list of items as a ROS 2 message of a special type, with named fields: the definition and the bytes are derived from the
+//! same names and values as the list's JSON.
 //!
-//! The types are in no package that could be installed; a recording carries their definitions with it.
+//! No package provides these types; a recording contains their definitions.
 
 use crate::{Stamped, Writer};
 use conicflow_messages::{Element, Fields, Value};
 use std::fmt::Write as _;
 
 const PACKAGE: &str = "conicflow_msgs";
-/// Before the definition of each type that another has in it.
+/// Precedes the definition of each nested type.
 const SEPARATOR: &str = "================================================================================\n";
-/// The definition of what each message begins with.
+/// The definition of the header of each message.
 const HEADER: &str = "MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n";
 const TIME: &str = "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n";
 
-/// Name and text of the type of a message with a list that is called `list`: beside the list it has what is in `head`, and each
-/// of its items has what is in `item`.
+/// Returns the name and the definition of the message type of the list `list`: besides the list it has the fields of `head`, and
+/// each item has the fields of `item`.
 pub fn list_definition(list: &str, head: &Fields<'_>, item: &Fields<'_>) -> (String, String) {
     let name = upper_camel(list);
     let of_item = format!("{name}Item");
     let mut text = "std_msgs/Header header\n".to_owned();
     let mut below = String::new();
     define(head, &name, &mut text, &mut below);
-    // A text grows without fail.
+    // Writing to a string cannot fail.
     writeln!(text, "{PACKAGE}/{of_item}[] items\n{SEPARATOR}MSG: {PACKAGE}/{of_item}").ok();
     define(item, &of_item, &mut text, &mut below);
     (format!("{PACKAGE}/msg/{name}"), format!("{text}{below}{SEPARATOR}{HEADER}{SEPARATOR}{TIME}"))
 }
 
-/// A message with what is in `head` and a list of items.
+/// Encodes a message with the fields of `head` and a list of items.
 pub fn write_list(stamped: Stamped<'_>, head: &Fields<'_>, items: &[Fields<'_>], memory: Vec<u8>) -> Vec<u8> {
     let mut writer = Writer::new(memory);
     write(head, writer.stamped(stamped));
@@ -37,7 +37,7 @@ pub fn write_list(stamped: Stamped<'_>, head: &Fields<'_>, items: &[Fields<'_>],
     writer.finish()
 }
 
-/// Adds a line for each value of the type `owner`, and to `below` the definitions of the types of those that have others below.
+/// Appends a line for each field of type `owner` to `text`, and the definitions of nested types to `below`.
 fn define(fields: &Fields<'_>, owner: &str, text: &mut String, below: &mut String) {
     for (name, value) in &fields.0 {
         let kind = match value {
@@ -68,7 +68,7 @@ fn write(fields: &Fields<'_>, writer: &mut Writer) {
     }
 }
 
-/// The word of ROS 2 for a kind of numbers.
+/// The ROS 2 name of a number type.
 fn word(element: Element) -> &'static str {
     match element {
         Element::U8 => "uint8",
@@ -84,7 +84,7 @@ fn word(element: Element) -> &'static str {
     }
 }
 
-/// `own_grasps` as `OwnGrasps`, as types are called, which begin with a letter.
+/// Converts `own_grasps` to `OwnGrasps`, the form of type names, which begin with a letter.
 fn upper_camel(name: &str) -> String {
     let upper = |word: &str| word.chars().take(1).flat_map(char::to_uppercase).chain(word.chars().skip(1)).collect();
     let words: Vec<String> = name.split('_').map(upper).collect();

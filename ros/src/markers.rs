@@ -1,5 +1,5 @@
-//! `visualization_msgs/MarkerArray`: what was found, as RViz and Foxglove draw it. No viewer has a cone, so that a cone is a mesh
-//! of triangles, which ends in its apex where that is seen.
+//! `visualization_msgs/MarkerArray`: objects as RViz and Foxglove draw them. Viewers have no cones, so a cone is a triangle mesh,
+//! which includes the apex if that is visible.
 
 use crate::transforms::write_pose;
 use crate::{Stamped, Writer};
@@ -14,22 +14,22 @@ const TRIANGLES: i32 = 11;
 const ADD: i32 = 0;
 const DELETE_ALL: i32 = 3;
 
-/// Sides of a cone's mesh: at 48 the outline of a circle is within 0.2 % of the radius.
+/// Sides of a cone's mesh: with 48, the outline of a circle is within 0.2 % of the radius.
 const SIDES: usize = 48;
-/// Height of a label's letters, in metres: to be read beside objects that one can grasp.
+/// Height of a label's letters in metres: readable beside objects of graspable size.
 const LETTERS_M: f64 = 0.04;
 
-/// What can be drawn.
+/// An item that can be drawn.
 pub trait Marked {
     /// Its shape.
     fn object(&self) -> &Object;
-    /// What is written beside it.
+    /// The text beside it.
     fn label(&self) -> String;
-    /// From 0, not to be seen, to 1: what is less sure is paler.
+    /// From 0, invisible, to 1: less certain items are paler.
     fn opacity(&self) -> f32;
-    /// Its number from frame to frame, if it has one.
+    /// Its id across frames, if it has one.
     fn id(&self) -> Option<u64>;
-    /// How it moves, in m/s, if that is known.
+    /// Its velocity in m/s, if known.
     fn velocity(&self) -> Option<[f64; 3]>;
 }
 
@@ -82,16 +82,16 @@ impl Marked for Track {
     }
 }
 
-/// What becomes of the markers that a message does not name.
+/// What happens to the markers of earlier messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Markers {
-    /// They go at once: wherever one begins to read, one sees no more than what is there.
+    /// They are removed at once: a viewer that joins at any time shows only the present markers.
     Replace,
-    /// They stay until they are so old, in nanoseconds; those of the same number move without being drawn anew.
+    /// They stay until this age in nanoseconds; a marker with the same id moves without being removed first.
     Expire(u64),
 }
 
-/// A message that draws these items in its topic.
+/// Encodes a message that draws these items.
 pub fn markers<T: Marked>(stamped: Stamped<'_>, items: &[T], others: Markers, memory: Vec<u8>) -> Vec<u8> {
     let mut writer = Writer::new(memory);
     let lifetime_ns = match others {
@@ -107,7 +107,7 @@ pub fn markers<T: Marked>(stamped: Stamped<'_>, items: &[T], others: Markers, me
     };
     for (place, item) in (0..).zip(items) {
         let kept = item.id().filter(|_| others != Markers::Replace);
-        // Of a number that a marker cannot have, its last 31 bits.
+        // A marker's id has 31 bits: use the last ones.
         let id = kept.map_or(place, |id| (id & 0x7fff_ffff) as i32);
         let [red, green, blue] = color(item.object().shape());
         let color = [red, green, blue, item.opacity()];
@@ -118,7 +118,7 @@ pub fn markers<T: Marked>(stamped: Stamped<'_>, items: &[T], others: Markers, me
     writer.finish()
 }
 
-/// Colours that also those tell apart who do not see all of them (Okabe and Ito, 2008): orange, sky blue, bluish green.
+/// Colours for the colour-blind (Okabe and Ito, 2008): orange, sky blue, bluish green.
 pub(crate) fn color(shape: ObjectKind) -> [f32; 3] {
     match shape {
         ObjectKind::Sphere => [0.90, 0.62, 0.0],
@@ -127,7 +127,7 @@ pub(crate) fn color(shape: ObjectKind) -> [f32; 3] {
     }
 }
 
-/// A `visualization_msgs/Marker`; what is not told is empty.
+/// A `visualization_msgs/Marker`; other fields are empty.
 struct Marker {
     namespace: &'static str,
     id: i32,
@@ -137,7 +137,7 @@ struct Marker {
     rotation: UnitQuaternion<f64>,
     scale: [f64; 3],
     color: [f32; 4],
-    /// 0: it stays until another message takes it away.
+    /// 0: it stays until another message removes it.
     lifetime_ns: u64,
     points: Vec<Vector3<f64>>,
     text: String,
@@ -175,22 +175,22 @@ fn shape(object: &Object) -> Marker {
 }
 
 fn label(object: &Object, text: String) -> Marker {
-    // y points down: above the object.
+    // y points down, so this is above the object.
     let [x, y, z] = object.center;
     let place = [x, y - object.radius - LETTERS_M, z];
     Marker { namespace: "label", kind: TEXT, place, scale: [LETTERS_M; 3], text, ..Marker::default() }
 }
 
-/// Turns z to the axis of an object.
+/// Returns the rotation that turns z to the axis of an object.
 pub(crate) fn turned_to(object: &Object) -> UnitQuaternion<f64> {
     let axis = Vector3::from(object.axis);
-    // Against z any half turn across it does.
+    // For an axis against z, any half turn about a perpendicular axis will do.
     UnitQuaternion::rotation_between(&Vector3::z(), &axis)
         .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), TAU / 2.0))
 }
 
-/// The corners of a cone's triangles, three for each: the side from its base to its apex, or to where its visible part ends
-/// before that, and the base.
+/// Returns the corners of a cone's triangles, three for each: the side from the base to the apex, or to the end of the visible
+/// part before it, and the ends.
 fn cone(object: &Object) -> Vec<Vector3<f64>> {
     let (center, axis) = (Vector3::from(object.center), Unit::new_normalize(Vector3::from(object.axis)));
     let (base, is_whole) = (center + 0.5 * object.length * axis.into_inner(), object.top_radius <= 0.0);
@@ -223,9 +223,9 @@ impl Marker {
         for point in &self.points {
             writer.f64s(point.as_slice());
         }
-        // No colours of points, no texture: its resource, image (header, format, data) and coordinates.
+        // No colours of points and no texture (resource, image with header, format and data, coordinates).
         writer.length(0).text("").stamped(Stamped::default()).text("").length(0).length(0);
-        // The text, and no mesh: its resource, file (name, data) and materials.
+        // The text, and no mesh (resource, file with name and data, materials).
         writer.text(&self.text).text("").text("").length(0).u8(0);
     }
 }

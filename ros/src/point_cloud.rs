@@ -1,14 +1,14 @@
-//! `sensor_msgs/PointCloud2` in rows and columns as the pixels of a depth image: the z of its points.
+//! Organised `sensor_msgs/PointCloud2`, with one point per pixel of a depth image: the z of its points is the depth.
 
 use crate::image::check_size;
 use crate::{Depths, Reader, Stamped, Undecodable};
 use conicflow_messages::Camera;
 
-/// Most fields of a point; drivers have up to a dozen.
+/// Maximum number of fields of a point; drivers have up to a dozen.
 const MOST_FIELDS: u32 = 64;
-/// The number that stands for single precision.
+/// The code of single precision.
 pub(crate) const FLOAT32: u8 = 7;
-/// A point may be so many pixels away from where the camera sees it.
+/// Maximum distance of a point from its pixel in the camera, in pixels.
 const MOST_PIXELS_OFF: f64 = 1.0;
 
 /// A point cloud.
@@ -16,24 +16,24 @@ const MOST_PIXELS_OFF: f64 = 1.0;
 pub struct PointCloud<'a> {
     /// Time of capture and frame of the camera.
     pub stamped: Stamped<'a>,
-    /// Points of a row.
+    /// Points per row.
     pub width: u32,
-    /// Rows.
+    /// Number of rows.
     pub height: u32,
-    /// Where in a point x, y and z are, each in single precision.
+    /// Offsets of x, y and z in a point, each in single precision.
     offsets: [usize; 3],
     is_big_endian: bool,
-    /// Bytes of a point and of a row, with what lies between.
+    /// Bytes per point and per row, with padding.
     point_step: usize,
     row_step: usize,
     data: &'a [u8],
 }
 
 impl<'a> PointCloud<'a> {
-    /// Reads a message; its points are not looked at yet.
+    /// Decodes a message without its points.
     ///
     /// # Errors
-    /// It is none, it is not organised, or it is too large to be one.
+    /// It is no such message, not organised, or too large.
     pub fn read(message: &'a [u8]) -> Result<Self, Undecodable> {
         let mut reader = Reader::new(message)?;
         let stamped = reader.stamped()?;
@@ -60,12 +60,12 @@ impl<'a> PointCloud<'a> {
         Ok(Self { stamped, width, height, offsets, is_big_endian, point_step, row_step, data })
     }
 
-    /// The depths of the points, in metres.
+    /// Decodes the depths of the points, in metres.
     pub fn depths(&self) -> Depths {
         Depths::Metres(self.points().map(|point| self.number(point, self.offsets[2])).collect())
     }
 
-    /// Whether the points lie where this camera sees its pixels.
+    /// Whether most points lie where this camera sees their pixels.
     pub fn is_of(&self, camera: &Camera) -> bool {
         let (mut near, mut far) = (0_usize, 0_usize);
         for (place, point) in self.points().enumerate() {
@@ -93,7 +93,7 @@ impl<'a> PointCloud<'a> {
     }
 }
 
-/// Where in a point x, y and z are.
+/// Reads the offsets of x, y and z in a point.
 fn offsets(reader: &mut Reader<'_>) -> Result<[usize; 3], Undecodable> {
     let fields = reader.u32()?;
     if fields > MOST_FIELDS {

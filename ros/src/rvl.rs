@@ -1,12 +1,12 @@
-//! RVL, a lossless code for depth images: runs of zeros and of measurements, the latter as differences to the one before, in
-//! groups of three bits.
+//! RVL, a lossless code for depth images: alternating runs of zeros and of measurements. Each measurement is coded as the
+//! difference from the one before, in groups of three bits.
 //!
 //! Source: A. D. Wilson, "Fast lossless depth image compression", ISS 2017.
 
 use crate::Undecodable;
 
-/// Words of 32 bits, least significant byte first, taken apart into groups of four bits from the top: three bits of a number,
-/// least significant first, and above them whether more follow.
+/// A reader of four-bit groups from little-endian 32-bit words, the highest group first. A group has three bits of a number, the
+/// least significant group first, and above them a flag that more groups follow.
 struct Groups<'a> {
     words: std::slice::Chunks<'a, u8>,
     word: u32,
@@ -25,7 +25,7 @@ impl Groups<'_> {
             }
             let group = self.word >> 28;
             (self.word, self.left) = (self.word << 4, self.left - 1);
-            // Eleven groups hold more bits than a number has.
+            // Eleven groups have more bits than a number.
             number |= (group & 7).checked_shl(shift)?;
             shift += 3;
             if group & 8 == 0 {
@@ -35,10 +35,10 @@ impl Groups<'_> {
     }
 }
 
-/// Decodes an image of so many pixels.
+/// Decodes an image of `pixels` pixels.
 ///
 /// # Errors
-/// The code ends before, or tells of more pixels.
+/// The code is too short, or has more pixels.
 pub(crate) fn decode(code: &[u8], pixels: usize) -> Result<Vec<u16>, Undecodable> {
     let fault = |decoded: usize| Undecodable(format!("the RVL code is broken after {decoded} of {pixels} pixels"));
     let mut groups = Groups { words: code.chunks(4), word: 0, left: 0 };
@@ -66,7 +66,7 @@ pub(crate) fn decode(code: &[u8], pixels: usize) -> Result<Vec<u16>, Undecodable
 pub(crate) mod tests {
     use super::*;
 
-    /// The code of an image, for tests.
+    /// Encodes an image, for tests.
     pub(crate) fn encode(image: &[u16]) -> Vec<u8> {
         let mut groups = Vec::new();
         let mut number = |mut number: u32| loop {

@@ -1,4 +1,4 @@
-//! `sensor_msgs/PointCloud2`: points on the surfaces of what was found, for viewers that draw no markers, such as Rerun.
+//! `sensor_msgs/PointCloud2`: points on the surfaces of objects, for viewers without markers, such as Rerun.
 
 use crate::markers::{color, turned_to};
 use crate::point_cloud::FLOAT32;
@@ -7,17 +7,17 @@ use conicflow_messages::{Object, ObjectKind};
 use nalgebra::Vector3;
 use std::f64::consts::{PI, TAU};
 
-/// x, y and z in metres, and the colour, whose three bytes PCL and RViz look for in a number of that name.
+/// x, y and z in metres, and the colour, which PCL and RViz expect as three bytes in a number of this name.
 const FIELDS: [&str; 4] = ["x", "y", "z", "rgb"];
 const POINT_BYTES: usize = 4 * FIELDS.len();
-/// Rings around an object, and points of a ring: the shape is told, and what lies behind it is seen.
+/// Number of rings around an object, and of points per ring: enough to show the shape, few enough to see through.
 const RINGS: usize = 12;
 const SIDES: usize = 24;
-/// Of something that moves, so many points towards where it will be after this time, in seconds.
+/// Number of points from a moving object towards its position after `AHEAD_S` seconds.
 const STEPS: usize = 12;
 const AHEAD_S: f64 = 0.5;
 
-/// A message that shows these items in its topic, in place of those of the message before.
+/// Encodes a message that shows these items in place of those of the message before.
 pub fn surface_points<T: Marked>(stamped: Stamped<'_>, items: &[T], memory: Vec<u8>) -> Vec<u8> {
     let points: Vec<[f32; 4]> = items.iter().flat_map(colored_points).collect();
     let mut writer = Writer::new(memory);
@@ -43,7 +43,7 @@ fn colored_points<T: Marked>(item: &T) -> Vec<[f32; 4]> {
     points.iter().map(|point| [point.x as f32, point.y as f32, point.z as f32, rgb]).collect()
 }
 
-/// Points on an object: rings across its axis, of a sphere across any.
+/// Returns points on an object: rings across its axis; for a sphere, across z.
 fn surface(object: &Object) -> Vec<Vector3<f64>> {
     let (turn, center) = (turned_to(object), Vector3::from(object.center));
     let ring = |number: usize| {
@@ -56,8 +56,8 @@ fn surface(object: &Object) -> Vec<Vector3<f64>> {
     (0..RINGS).flat_map(ring).collect()
 }
 
-/// Where along the axis from the center a ring is, and its radius: from 0 at one end, of a cone the narrow one, to 1 at the
-/// other.
+/// Returns the position of a ring along the axis, from the centre, and its radius. `part` is 0 at one end (the narrow one of a
+/// cone) and 1 at the other.
 fn ring(object: &Object, part: f64) -> (f64, f64) {
     let along = (part - 0.5) * object.length;
     match object.shape() {
@@ -75,7 +75,7 @@ mod tests {
 
     const STAMPED: Stamped<'_> = Stamped { stamp_ns: 3, frame_id: "camera" };
 
-    /// The points of a message, and the bytes of their colours.
+    /// Decodes the points of a message and the bytes of their colours.
     fn read(message: &[u8]) -> Vec<(Vector3<f64>, u32)> {
         let mut reader = Reader::new(message).unwrap();
         assert_eq!((reader.stamped().unwrap(), reader.u32().unwrap()), (STAMPED, 1));

@@ -1,45 +1,44 @@
-//! `tf2_msgs/TFMessage`: where frames of coordinates lie in each other, at which time; and from many of them the pose of one
-//! frame in another.
+//! `tf2_msgs/TFMessage`: poses of coordinate frames at given times, and the lookup of the pose of one frame in another.
 
 use crate::{Reader, Stamped, Undecodable, Writer};
 use nalgebra::{Isometry3, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Most transforms of a message; robots have some hundred frames.
+/// Maximum number of transforms in a message; robots have some hundred frames.
 const MOST_TRANSFORMS: u32 = 65_536;
-/// Frames that are known at most, and poses that each has at most: of a thousand a second those of four.
+/// Maximum number of frames, and of live poses per frame: at 1000 Hz, the poses of four seconds.
 const MOST_FRAMES: usize = 65_536;
 const MOST_LIVE_POSES: usize = 4096;
-/// A quaternion's square may be so far from 1: single precision and hands round.
+/// Tolerance of a quaternion's squared norm, which may be rounded to single precision or by hand.
 const UNIT_TOLERANCE: f64 = 1e-2;
 
-/// What is known of the frames of a recording, or of a robot.
+/// The known frames of a recording or a robot.
 #[derive(Clone, Debug, Default)]
 pub struct Transforms {
     frames: BTreeMap<String, Known>,
-    /// Older poses are forgotten.
+    /// Whether old poses are dropped.
     is_live: bool,
 }
 
-/// A frame and where it lies in the one above it.
+/// A frame and its poses in its parent frame.
 #[derive(Clone, Debug)]
 struct Known {
     parent: String,
-    /// By time; a fixed frame has one that holds for ever.
+    /// By time; a fixed frame has a single pose that is always valid.
     poses: BTreeMap<u64, Isometry3<f64>>,
     is_fixed: bool,
 }
 
 impl Transforms {
-    /// What is known of a robot: of each frame the newest poses.
+    /// Creates the transforms of a live robot, which keep only the newest poses of each frame.
     pub fn live() -> Self {
         Self { is_live: true, ..Self::default() }
     }
 
-    /// Takes in a message of `/tf`, or of `/tf_static`, whose transforms hold for ever.
+    /// Adds a message of `/tf`, or of `/tf_static` (`is_fixed`), whose transforms are always valid.
     ///
     /// # Errors
-    /// It is none, or a rotation in it is none.
+    /// It is no such message, or a transform in it is invalid.
     pub fn add(&mut self, message: &[u8], is_fixed: bool) -> Result<(), Undecodable> {
         let mut reader = Reader::new(message)?;
         let count = reader.u32()?;
@@ -67,7 +66,7 @@ impl Transforms {
 
     fn insert(&mut self, child: &str, parent: &str, (stamp_ns, pose): (u64, Isometry3<f64>), is_fixed: bool) {
         let new = || Known { parent: parent.to_owned(), poses: BTreeMap::new(), is_fixed };
-        // Names begin with a slash in old programs.
+        // Old programs write names with a leading slash.
         let known = self.frames.entry(name(child)).or_insert_with(new);
         if is_fixed || known.is_fixed || known.parent != parent {
             *known = new();
@@ -78,12 +77,12 @@ impl Transforms {
         }
     }
 
-    /// The frames that there are.
+    /// The names of the known frames.
     pub fn names(&self) -> BTreeSet<&str> {
         self.frames.iter().flat_map(|(child, known)| [child.as_str(), known.parent.trim_start_matches('/')]).collect()
     }
 
-    /// Pose of the frame `source` in the frame `target` at a time, row-major `[R | t]`; none where nothing tells.
+    /// Returns the pose of the frame `source` in the frame `target` at a time, row-major `[R | t]`; `None` if it is unknown.
     pub fn pose(&self, target: &str, source: &str, stamp_ns: u64) -> Option<[[f64; 4]; 3]> {
         let (of_target, of_source) = (self.in_root(target, stamp_ns)?, self.in_root(source, stamp_ns)?);
         if of_target.0 != of_source.0 {
@@ -94,10 +93,10 @@ impl Transforms {
         Some(std::array::from_fn(|row| [rotation[(row, 0)], rotation[(row, 1)], rotation[(row, 2)], t[row]]))
     }
 
-    /// The frame above all that `frame` lies in, and its pose there.
+    /// Returns the root frame above `frame`, and the pose of `frame` in it.
     fn in_root(&self, frame: &str, stamp_ns: u64) -> Option<(String, Isometry3<f64>)> {
         let (mut at, mut root_from_frame) = (name(frame), Isometry3::identity());
-        // In a circle one is farther than there are frames.
+        // Bounds the loop if the frames form a cycle.
         for _ in 0..=self.frames.len() {
             let Some(known) = self.frames.get(&at) else { return Some((at, root_from_frame)) };
             root_from_frame = known.at(stamp_ns)? * root_from_frame;
@@ -112,7 +111,7 @@ fn name(frame: &str) -> String {
 }
 
 impl Known {
-    /// The pose at a time, between the two that are known before and after it.
+    /// Returns the pose at a time, interpolated between the poses before and after it.
     fn at(&self, stamp_ns: u64) -> Option<Isometry3<f64>> {
         let before = self.poses.range(..=stamp_ns).next_back();
         if self.is_fixed {
@@ -128,7 +127,7 @@ impl Known {
     }
 }
 
-/// A message that tells where the frame `child` lies: its pose in the frame of `stamped`, row-major `[R | t]`.
+/// Encodes a message with the pose of the frame `child` in the frame of `stamped`, row-major `[R | t]`.
 pub fn write_transform(stamped: Stamped<'_>, child: &str, pose: &[[f64; 4]; 3], memory: Vec<u8>) -> Vec<u8> {
     let mut writer = Writer::new(memory);
     writer.length(1).stamped(stamped).text(child);
@@ -141,7 +140,7 @@ fn rotation_of(pose: &[[f64; 4]; 3]) -> UnitQuaternion<f64> {
     UnitQuaternion::from_rotation_matrix(&Rotation3::from_basis_unchecked(&[x, y, z]))
 }
 
-/// A place and a rotation, as poses and transforms have them.
+/// Writes a position and a rotation, as in poses and transforms.
 pub(crate) fn write_pose(writer: &mut Writer, place: [f64; 3], rotation: &UnitQuaternion<f64>) {
     writer.f64s(&place).f64s(&[rotation.i, rotation.j, rotation.k, rotation.w]);
 }

@@ -1,19 +1,19 @@
-//! The camera of the images: by the parameters, or by the CameraInfo that comes beside them.
+//! The camera of the images: from the parameters, or from the CameraInfo beside the images.
 
 use conicflow_detection::camera::Intrinsics;
 use conicflow_messages::{Camera, Hinted};
 use conicflow_ros::{CameraInfo, Undecodable, is_rectified};
 
-/// What to do where nothing tells the camera.
+/// The hint when the camera is unknown.
 pub(crate) const WRITE_INTRINSICS: &str =
     "write `intrinsics = { fx = .., fy = .., cx = .., cy = .. }` with the numbers of your camera";
 
-/// What is known of the camera.
+/// The sources of the camera's intrinsics.
 #[derive(Debug)]
 pub(crate) struct Cameras {
     images: String,
     intrinsics: Option<Intrinsics>,
-    /// What came last, and on which topic.
+    /// The last CameraInfo, and its topic.
     info: Option<(String, CameraInfo)>,
 }
 
@@ -22,21 +22,21 @@ impl Cameras {
         Self { images: images.to_owned(), intrinsics, info: None }
     }
 
-    /// Whether anything is known.
+    /// Whether the parameters or a CameraInfo define the camera.
     pub(crate) fn are_known(&self) -> bool {
         self.intrinsics.is_some() || self.info.is_some()
     }
 
-    /// Takes in a CameraInfo that came on `topic`.
+    /// Stores a CameraInfo that came on `topic`.
     pub(crate) fn learn(&mut self, topic: &str, message: &[u8]) -> Result<(), Undecodable> {
         self.info = Some((topic.to_owned(), CameraInfo::read(message)?));
         Ok(())
     }
 
-    /// The camera of images of this size.
+    /// Returns the camera of images of this size.
     ///
     /// # Errors
-    /// They are distorted or of another size, or it was not calibrated.
+    /// No CameraInfo has come, its images are distorted or of another size, or it is not calibrated.
     pub(crate) fn of(&self, size: (u32, u32)) -> Result<Camera, Hinted> {
         if let Some(intrinsics) = self.intrinsics {
             return Ok(intrinsics.camera(size));

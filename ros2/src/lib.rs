@@ -1,9 +1,9 @@
-//! The nodes `ros2_source` and `ros2_sink`: a robot's depth images into a pipeline, and what it finds back to the robot, with no
-//! ROS on this machine.
+//! The nodes `ros2_source` and `ros2_sink`: bring a robot's depth images into a pipeline, and send the results back to the robot,
+//! without a ROS installation on this machine.
 //!
-//! A [`Participant`] is what a node of ROS 2 is to the others: a name, and ends of topics. What carries its messages is a
-//! [`Middleware`], which a program hands in; here nothing speaks to a network. The program that has none lists the nodes by
-//! [`Elsewhere`], and another one runs them.
+//! A [`Participant`] is a ROS 2 node as the others see it: a name and endpoints of topics. A [`Middleware`], which the program
+//! provides, carries its messages; this package uses no network. A program without a middleware lists the nodes with
+//! [`Elsewhere`], and another program runs them.
 
 mod cameras;
 mod link;

@@ -1,15 +1,15 @@
-//! Whether the router is reached, as a stage tells it.
+//! Reports of a stage on whether the router is reached.
 
 use crate::Middleware;
 use std::time::{Duration, Instant};
 
-/// So long a router may take to answer before that is told.
+/// How long the router may take to answer before the stage reports it.
 const ROUTER_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Looks after the link to the router.
+/// Watches the link to the router.
 pub(crate) struct Link {
     connect: String,
-    /// Since when it is not reached.
+    /// Since when the router is not reached.
     missing: Option<Instant>,
     is_told: bool,
 }
@@ -19,7 +19,7 @@ impl Link {
         Self { connect: connect.join("`, `"), missing: None, is_told: false }
     }
 
-    /// Tells what has changed; whether the router is reached.
+    /// Logs a change; returns whether the router is reached.
     pub(crate) fn look(&mut self, middleware: &impl Middleware) -> bool {
         let connect = &self.connect;
         if middleware.is_joined() {

@@ -1,38 +1,38 @@
-//! What carries the messages of ROS 2; a program that speaks to a network hands it in.
+//! The interface to the transport of ROS 2 messages, which a program with a network implements.
 
 use crate::Participant;
 use conicflow_dataflow::StageError;
 use conicflow_messages::Hinted;
 use std::time::Duration;
 
-/// A topic that somebody publishes, and the name of its type, such as `sensor_msgs/msg/Image`.
+/// A published topic, and the name of its type, such as `sensor_msgs/msg/Image`.
 pub type Published = (String, String);
 
 /// Carries the messages of a participant.
 pub trait Middleware: Sized {
-    /// Takes part as soon as that works, and again where the router was lost; comes back at once.
+    /// Joins as soon as that is possible, and again after the router was lost; returns at once.
     ///
     /// # Errors
-    /// It can never work.
+    /// The settings can never work.
     fn join(participant: Participant) -> Result<Self, StageError>;
 
     /// Whether the router is reached.
     fn is_joined(&self) -> bool;
 
-    /// The next message at an end, as soon as there is one, at most after `timeout`.
+    /// Waits for a message at an endpoint for at most `timeout`, and returns it.
     fn receive(&self, end: usize, timeout: Duration) -> Option<Vec<u8>>;
 
-    /// Messages at an end that were lost since this was asked last, on the way or because nobody took them.
+    /// Returns the number of messages lost at an endpoint since the last call, on the way or by a full queue.
     fn take_lost(&self, end: usize) -> u64;
 
-    /// Sends a message from an end; where nobody listens it is gone.
+    /// Publishes a message at an endpoint; without a subscriber it is lost.
     fn publish(&self, end: usize, message: Vec<u8>);
 
-    /// What others publish.
+    /// The topics that other nodes publish.
     fn published(&self) -> Vec<Published>;
 }
 
-/// The nodes are run by another program: here they are listed and checked.
+/// A middleware that does nothing: another program runs the nodes, and this one only lists and checks them.
 #[derive(Clone, Copy, Debug)]
 pub enum Elsewhere {}
 

@@ -1,4 +1,4 @@
-//! A node as the others in ROS 2 see it: where it takes part, its name and its ends of topics; and what is wrong with these.
+//! A node as other ROS 2 nodes see it: its domain, its name and the endpoints of its topics; and checks of these.
 
 use conicflow_dataflow::pipeline::check_endpoint;
 use conicflow_messages::ConfigFault;
@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Distro {
-    /// 2022; its topics do not tell the numbers of their types.
+    /// 2022; its topics do not announce the hashes of their types.
     Humble,
     /// 2023.
     Iron,
@@ -21,65 +21,65 @@ pub enum Distro {
     Kilted,
     /// 2026.
     Lyrical,
-    /// What comes next.
+    /// The development distribution.
     Rolling,
 }
 
-/// What carries the messages of ROS 2 to Zenoh.
+/// The software that carries ROS 2 messages to Zenoh.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Via {
     /// The robot's nodes speak Zenoh: `RMW_IMPLEMENTATION=rmw_zenoh_cpp`.
     #[default]
     RmwZenoh,
-    /// The robot's nodes speak DDS, and `zenoh-bridge-ros2dds` carries that.
+    /// The robot's nodes speak DDS, and `zenoh-bridge-ros2dds` translates.
     Ros2dds,
 }
 
-/// What a node of ROS 2 is to the others.
+/// A ROS 2 node as the others see it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Participant {
     /// Zenoh endpoints of the router.
     pub connect: Vec<String>,
-    /// The domain of ROS 2.
+    /// The ROS 2 domain.
     pub domain: u32,
     /// The distribution on the other side.
     pub distro: Distro,
-    /// What carries messages there.
+    /// The software that carries messages there.
     pub via: Via,
-    /// The name, in letters, digits and `_`.
+    /// The name of the node, in letters, digits and `_`.
     pub name: String,
-    /// The ends of topics.
+    /// The endpoints of its topics.
     pub ends: Vec<End>,
 }
 
-/// An end of a topic.
+/// The endpoint of a topic.
 #[derive(Clone, Debug, PartialEq)]
 pub struct End {
-    /// The topic, with a slash before.
+    /// The topic, with a leading slash.
     pub topic: String,
-    /// What it carries.
+    /// The type of its messages.
     pub definition: Definition,
-    /// What is done there.
+    /// Whether it publishes or subscribes.
     pub way: Way,
 }
 
-/// What is done at an end.
+/// Whether an endpoint publishes or subscribes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Way {
-    /// Messages are sent.
+    /// It publishes.
     Publish,
-    /// Messages are taken; so many wait at most, of more the oldest are lost.
+    /// It subscribes, with a queue of this length; a full queue drops the oldest message.
     Subscribe(usize),
-    /// The same, and those come first that were sent before (transient local).
+    /// It subscribes like that, and first gets the messages that were sent before (transient local).
     SubscribeLatched(usize),
 }
 
-/// Domains of ROS 2: with more, DDS would run out of ports.
+/// The last domain of ROS 2: with more, DDS would run out of ports.
 const LAST_DOMAIN: u32 = 232;
 
 impl Participant {
-    /// What is wrong with where it takes part, if anything.
+    /// Returns the faults of the router's endpoints and the domain.
     pub(crate) fn faults(connect: &[String], domain: u32) -> Vec<ConfigFault> {
         let mut faults = Vec::new();
         if connect.is_empty() {
@@ -96,14 +96,14 @@ impl Participant {
         faults
     }
 
-    /// The name of a node of ROS 2 for a stage.
+    /// Returns the ROS 2 node name of a stage.
     pub(crate) fn name_of(stage: &str) -> String {
         let word = |letter: char| if letter.is_ascii_alphanumeric() { letter } else { '_' };
         format!("conicflow_{}", stage.chars().map(word).collect::<String>())
     }
 }
 
-/// What is wrong with a topic's name, if anything.
+/// Returns the fault of a topic's name, if there is one.
 pub(crate) fn topic_fault(key: &'static str, topic: &str) -> Option<ConfigFault> {
     let is_word = |part: &str| {
         let is_letter = |letter: char| letter.is_ascii_alphanumeric() || letter == '_';

@@ -1,4 +1,4 @@
-//! The messages that have a depth image in them.
+//! The message types that contain a depth image.
 
 use conicflow_ros::{
     COMPRESSED_IMAGE, CompressedImage, Definition, Depths, IMAGE, Image, POINT_CLOUD, PointCloud, Stamped, Undecodable,
@@ -6,7 +6,7 @@ use conicflow_ros::{
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// What a topic carries.
+/// The message type of a topic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
@@ -19,7 +19,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// What a topic carries by its name, as is custom.
+    /// Guesses the type of a topic from its name, by convention.
     pub(crate) fn of(topic: &str) -> Self {
         match topic.rsplit('/').next() {
             Some("compressedDepth") => Self::CompressedDepth,
@@ -36,7 +36,7 @@ impl Kind {
         }
     }
 
-    /// The word for it in a pipeline file.
+    /// The word for the type in a pipeline file.
     pub(crate) fn word(self) -> &'static str {
         match self {
             Self::Image => "image",
@@ -45,13 +45,13 @@ impl Kind {
         }
     }
 
-    /// The kind whose messages are of the type of this name.
+    /// Returns the kind of a ROS message type.
     pub(crate) fn of_type(name: &str) -> Option<Self> {
         [Self::Image, Self::CompressedDepth, Self::PointCloud].into_iter().find(|kind| kind.definition().name == name)
     }
 }
 
-/// A message whose pixels are not looked at yet.
+/// A message whose pixels are not decoded yet.
 pub(crate) enum Picture<'a> {
     Image(Image<'a>),
     Compressed(CompressedImage<'a>),
@@ -75,7 +75,7 @@ impl<'a> Picture<'a> {
         }
     }
 
-    /// Width, height and depths.
+    /// Returns the size (width, height) and the depths.
     pub(crate) fn depths(&self) -> Result<((u32, u32), Depths), Undecodable> {
         match self {
             Self::Image(image) => Ok(((image.width, image.height), image.depths()?)),

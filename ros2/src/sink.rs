@@ -1,4 +1,4 @@
-//! The sink that tells ROS 2 what was found: as detections, as markers for RViz, and where the camera is.
+//! The sink that sends results to ROS 2: detections, markers for RViz, and the camera's transform.
 
 use crate::link::Link;
 use crate::participant::topic_fault;
@@ -14,15 +14,15 @@ use std::marker::PhantomData;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-/// The ends, in the order in which they are opened.
+/// The indices of the endpoints.
 const DETECTIONS: usize = 0;
 const MARKERS: usize = 1;
 const TRANSFORMS: usize = 2;
 
-/// The sink waits so long for the router when it starts, so that the first messages are not lost.
+/// How long the sink waits for the router when it starts, so that the first messages are not lost.
 const ROUTER_TIMEOUT: Duration = Duration::from_secs(1);
 const ROUTER_CHECK_PERIOD: Duration = Duration::from_millis(10);
-/// Of frames whose source told no name.
+/// The frame id of messages whose source has no name.
 const NAMELESS: &str = "camera";
 
 /// Parameters of [`Ros2Sink`].
@@ -31,22 +31,22 @@ const NAMELESS: &str = "camera";
 pub struct SinkConfig {
     /// The topic of the detections; the markers are at `markers` below it. Default: `/conicflow/tracks` or `/conicflow/objects`.
     pub topic: Option<String>,
-    /// The frame of coordinates that the camera looks along; default: that of the images, as `ros2_source` got it, else the name
-    /// of the stage that had the frame first.
+    /// The coordinate frame of the camera; default: that of the images, as `ros2_source` received it, else the name of the stage
+    /// that the frames come from.
     pub frame_id: Option<String>,
-    /// How long RViz shows a marker that no message repeats, in seconds.
+    /// How long RViz shows a marker without a newer message, in seconds.
     #[schemars(range(min = 0.01, max = 3600.0))]
     pub lifetime_s: f64,
-    /// The frame of coordinates in which the source tells the camera's pose: that goes to /tf; default: it goes nowhere.
+    /// The coordinate frame in which the source reports the camera's pose, which is then sent to /tf; default: no pose is sent.
     pub world: Option<String>,
-    /// Zenoh endpoints of the robot's router, such as `["tcp/192.168.0.2:7447"]`; of several the first that answers.
+    /// Zenoh endpoints of the robot's router, such as `["tcp/192.168.0.2:7447"]`; of several, the first that answers is used.
     pub connect: Vec<String>,
-    /// The domain of ROS 2, as `ROS_DOMAIN_ID` on the robot.
+    /// The ROS 2 domain, equal to `ROS_DOMAIN_ID` on the robot.
     #[schemars(range(max = 232))]
     pub domain: u32,
-    /// The distribution of ROS 2 on the robot.
+    /// The ROS 2 distribution on the robot.
     pub distro: Distro,
-    /// What carries messages from Zenoh to ROS 2.
+    /// The software that carries messages from Zenoh to ROS 2.
     pub via: Via,
 }
 
@@ -87,7 +87,7 @@ impl SinkConfig {
     }
 }
 
-/// Sends objects or tracks to topics of ROS 2.
+/// Publishes objects or tracks on ROS 2 topics.
 pub struct Ros2Sink<T, M> {
     middleware: M,
     link: Link,
@@ -146,7 +146,7 @@ impl<T: Item + Marked, M: Middleware> Stage for Ros2Sink<T, M> {
 }
 
 impl<T, M> Ros2Sink<T, M> {
-    /// The frame of coordinates of a message. Frames of files have the names of these in place of one.
+    /// Returns the frame id of a message. For recorded frames, the header's source is a file name and not used.
     fn frame_id<'a>(&'a self, header: &'a Header, origin: Option<&'a str>) -> &'a str {
         let told = header.source.as_str().filter(|name| !name.is_empty() && !header.is_recorded());
         let named = self.config.frame_id.as_deref().or(told).or(origin.filter(|name| !name.is_empty()));

@@ -1,6 +1,6 @@
-//! The source that takes depth images from a topic of ROS 2, as they come.
+//! The source that reads depth images from a ROS 2 topic as they come.
 //!
-//! What cannot be used is counted, told once, and passed over; the stage goes on, because the robot may come to send better.
+//! Unusable messages are counted, reported once, and skipped; the stage goes on, because later messages may be usable.
 
 use crate::cameras::{Cameras, WRITE_INTRINSICS};
 use crate::link::Link;
@@ -29,24 +29,24 @@ const WITHOUT_POSE: &str = "frames without pose";
 const INFOS_UNREADABLE: &str = "CameraInfo unreadable";
 const TRANSFORMS_UNREADABLE: &str = "transforms unreadable";
 
-/// Images that wait at most to be looked at: the pipeline takes them at once, unless it is lossless and slow.
+/// Queue of images that wait to be read: the pipeline reads them at once, unless it is lossless and slow.
 const IMAGES_WAITING: usize = 4;
-/// Images that wait at most for their poses: those of 0.2 s at 90 Hz.
+/// The most images that wait for their poses: those of 0.2 s at 90 Hz.
 const MOST_WITHOUT_POSE: usize = 18;
-/// Transforms that wait at most: those of some seconds.
+/// Queue of transforms: those of some seconds.
 const TRANSFORMS_WAITING: usize = 4096;
-/// An image waits so long for what tells its camera, and for the transforms of its time.
+/// How long an image waits for its CameraInfo, and for the transforms of its time.
 const CAMERA_INFO_TIMEOUT: Duration = Duration::from_secs(1);
 const TRANSFORM_TIMEOUT: Duration = Duration::from_millis(200);
-/// After so long without an image that is told.
+/// After this time without an image, the source reports it.
 const REPORT_SILENCE_AFTER: Duration = Duration::from_secs(5);
-/// How often is looked for something while nothing comes, and while an image waits.
+/// How often the source looks for an image while none comes, and while one waits.
 const IMAGE_TIMEOUT: Duration = Duration::from_millis(50);
 const IMAGE_TIMEOUT_WHILE_ONE_WAITS: Duration = Duration::from_millis(5);
-/// So many topics are named in a hint.
+/// The most topics that a hint names.
 const MOST_NAMED: usize = 8;
 
-/// Where the images come.
+/// The endpoint of the images.
 const IMAGES: usize = 0;
 
 /// Parameters of [`Ros2Source`].
@@ -55,7 +55,7 @@ const IMAGES: usize = 0;
 pub struct SourceConfig {
     /// The topic with the depth images, such as `/camera/depth/image_rect_raw`.
     pub topic: Option<String>,
-    /// What it carries; default: as its name says: `points`, `compressedDepth`, else an image.
+    /// The type of its messages; default: by the topic's name: `points`, `compressedDepth`, else an image.
     pub message: Option<Kind>,
     /// The topic with the CameraInfo; default: `camera_info` beside the images.
     pub camera_info: Option<String>,
@@ -67,17 +67,16 @@ pub struct SourceConfig {
     /// Depth noise of the sensor: a name (`kinect_v1`, `realsense_d435`, `time_of_flight`, `ideal`) or a table; default:
     /// `kinect_v1`.
     pub noise: Option<NoiseConfig>,
-    /// The frame of coordinates in which the camera's pose is wanted, such as `map`: looked for in /tf and /tf_static; default:
-    /// none.
+    /// The coordinate frame of the camera's pose, such as `map`, which is looked up in /tf and /tf_static; default: no pose.
     pub world: Option<String>,
-    /// Zenoh endpoints of the robot's router, such as `["tcp/192.168.0.2:7447"]`; of several the first that answers.
+    /// Zenoh endpoints of the robot's router, such as `["tcp/192.168.0.2:7447"]`; of several, the first that answers is used.
     pub connect: Vec<String>,
-    /// The domain of ROS 2, as `ROS_DOMAIN_ID` on the robot.
+    /// The ROS 2 domain, equal to `ROS_DOMAIN_ID` on the robot.
     #[schemars(range(max = 232))]
     pub domain: u32,
-    /// The distribution of ROS 2 on the robot.
+    /// The ROS 2 distribution on the robot.
     pub distro: Distro,
-    /// What carries messages from ROS 2 to Zenoh.
+    /// The software that carries messages from ROS 2 to Zenoh.
     pub via: Via,
 }
 
@@ -96,7 +95,7 @@ impl SourceConfig {
         faults
     }
 
-    /// The end that tells the camera, unless the file does.
+    /// The endpoint for the CameraInfo, unless the file names the intrinsics.
     fn camera_end(&self, topic: &str, kind: Kind) -> Option<End> {
         let [beside, above, _] = camera_info_topics(topic);
         let usual = if kind == Kind::CompressedDepth { above } else { beside };
@@ -104,7 +103,7 @@ impl SourceConfig {
         self.intrinsics.is_none().then_some(End { topic, definition: CAMERA_INFO, way: Way::Subscribe(1) })
     }
 
-    /// The ends that tell where the camera is, if that is wanted.
+    /// The endpoints for transforms, if the file asks for poses.
     fn transform_ends(&self) -> Vec<End> {
         let (still, moving) = (Way::SubscribeLatched(TRANSFORMS_WAITING), Way::Subscribe(TRANSFORMS_WAITING));
         let wanted = [("/tf_static", still), ("/tf", moving)].into_iter().filter(|_| self.world.is_some());
@@ -112,38 +111,38 @@ impl SourceConfig {
     }
 }
 
-/// An image that came.
+/// An image that was received.
 struct Waiting {
     message: Vec<u8>,
     came: Instant,
-    /// The same, in nanoseconds since 1970.
+    /// The time when it was received, in nanoseconds since 1970.
     came_ns: u64,
 }
 
-/// Takes depth images from a topic of ROS 2.
+/// Reads depth images from a ROS 2 topic.
 pub struct Ros2Source<M> {
     middleware: M,
     link: Link,
-    /// The first is that of the images.
+    /// The first endpoint is that of the images.
     ends: Vec<End>,
     kind: Kind,
     config: SourceConfig,
     cameras: Cameras,
     transforms: Transforms,
-    /// The images that came and could not be sent yet, in their order.
+    /// The images that were received and not sent yet, in order.
     waiting: VecDeque<Waiting>,
-    /// An image waits so long for what tells its camera, ...
+    /// How long an image waits for its CameraInfo.
     pub(crate) patience_with_camera: Duration,
-    /// ... and for the transforms of its time.
+    /// How long an image waits for the transforms of its time.
     pub(crate) patience_with_pose: Duration,
-    /// Since when images come whose camera nobody has told.
+    /// Since when images come without a known camera.
     without_camera: Option<Instant>,
-    /// Since when frames go without the pose that is wanted.
+    /// Since when frames lack the pose that the file asks for.
     without_pose: Option<Instant>,
-    /// The camera whose clouds were found to be its own.
+    /// The last camera that was found to match its point clouds.
     checked: Option<Camera>,
     notices: Notices,
-    /// When the last image came, and whether that it was the last was told.
+    /// When the last image came, and whether the silence since then was reported.
     heard: (Instant, bool),
     is_told: bool,
     empty: EmptyFrames,
@@ -224,7 +223,7 @@ impl<M: Middleware> Source for Ros2Source<M> {
 }
 
 impl<M: Middleware> Ros2Source<M> {
-    /// Takes the next image, as soon as there is one. Of those whose camera is not known the newest alone waits.
+    /// Receives the next image, waiting for a short while. While the camera is unknown, only the newest image is kept.
     fn take_image(&mut self, output: &mut Output<u16>) {
         let look = if self.waiting.is_empty() { IMAGE_TIMEOUT } else { IMAGE_TIMEOUT_WHILE_ONE_WAITS };
         let came = self.middleware.receive(IMAGES, look);
@@ -240,7 +239,7 @@ impl<M: Middleware> Ros2Source<M> {
         self.waiting.push_back(Waiting { message, came, came_ns: unix_ns() });
     }
 
-    /// Whether it is not known yet what the camera is, and may still be told.
+    /// Whether the camera is unknown and its CameraInfo is still waited for.
     fn awaits_camera(&mut self) -> bool {
         if self.cameras.are_known() {
             return false;
@@ -248,7 +247,7 @@ impl<M: Middleware> Ros2Source<M> {
         self.without_camera.get_or_insert_with(Instant::now).elapsed() < self.patience_with_camera
     }
 
-    /// Takes in what has come of cameras and frames of coordinates.
+    /// Processes the CameraInfo messages and transforms that have come.
     fn learn(&mut self, output: &mut Output<u16>) {
         for end in 1..self.ends.len() {
             while let Some(message) = self.middleware.receive(end, Duration::ZERO) {
@@ -267,7 +266,7 @@ impl<M: Middleware> Ros2Source<M> {
         }
     }
 
-    /// The frame of an image; none while something that tells of it may still come.
+    /// Returns the frame of an image, or `None` while its camera or pose may still come.
     fn frame(&mut self, image: &Waiting) -> Result<Option<(Header, Units)>, Fault> {
         let topic = self.ends[IMAGES].topic.clone();
         let picture =
@@ -275,7 +274,7 @@ impl<M: Middleware> Ros2Source<M> {
         if self.awaits_camera() {
             return Ok(None);
         }
-        // A driver that knows no time leaves it at zero.
+        // A driver without a clock leaves the time at zero.
         let stamped = picture.stamped();
         let stamp_ns = if stamped.stamp_ns > 0 { stamped.stamp_ns } else { image.came_ns };
         let pose = self.pose(&Stamped { stamp_ns, ..stamped });
@@ -305,7 +304,7 @@ impl<M: Middleware> Ros2Source<M> {
         Ok(Some((header, units)))
     }
 
-    /// Whether the points of a cloud lie where the camera sees its pixels; looked at when the camera is new.
+    /// Checks that the points of a cloud lie where the camera sees their pixels; done once per camera.
     fn check_cloud(&mut self, picture: &Picture<'_>, camera: &Camera) -> Result<(), Fault> {
         let Picture::Cloud(cloud) = picture else { return Ok(()) };
         if self.checked != Some(*camera) {
@@ -319,12 +318,12 @@ impl<M: Middleware> Ros2Source<M> {
         Ok(())
     }
 
-    /// Where the camera is, if that is wanted and known.
+    /// The pose of the camera, if the file asks for it and it is known.
     fn pose(&self, stamped: &Stamped<'_>) -> Option<[[f64; 4]; 3]> {
         self.transforms.pose(self.config.world.as_deref()?, stamped.frame_id, stamped.stamp_ns)
     }
 
-    /// Counts a frame without the pose that is wanted; when frames have gone without for long, that is told once.
+    /// Counts a frame without the pose that the file asks for; reports once that poses have been missing for long.
     fn look_for_pose(&mut self, header: &Header, output: &mut Output<u16>) {
         let Some(world) = self.config.world.as_deref().filter(|_| header.pose().is_none()) else {
             self.without_pose = None;
@@ -346,13 +345,13 @@ impl<M: Middleware> Ros2Source<M> {
         self.notices.tell(fault);
     }
 
-    /// Says once what the images are like, so that a wrong scale is seen.
+    /// Reports once what the images are like, so that a wrong scale is noticed.
     fn tell(&mut self, header: &Header, pixels: &[u16]) {
         let tell = || report_frame("images", &self.ends[IMAGES].topic, &header.camera, header.depth_scale, pixels);
         self.is_told = self.is_told || tell();
     }
 
-    /// Tells that no images come, and what there is instead.
+    /// Reports that no images come, and which topics there are instead.
     fn tell_silence(&mut self, is_joined: bool) {
         if !is_joined {
             self.heard.0 = Instant::now();
@@ -377,7 +376,7 @@ impl<M: Middleware> Ros2Source<M> {
             let what = format!("`{topic}` carries {name}, expected {}", definition.name);
             return Hinted::new(what, format!("write `message = \"{}\"`", kind.word()));
         }
-        // What is no name of ROS is not repeated.
+        // Names that ROS does not allow are not printed.
         let is_fitting = |name: &&String| topic_fault("topic", name).is_none();
         let fitting = published.iter().filter(|(_, kind)| Kind::of_type(kind).is_some()).map(|(name, _)| name);
         let there: Vec<_> = fitting.filter(is_fitting).take(MOST_NAMED).map(|name| format!("`{name}`")).collect();

@@ -1,4 +1,4 @@
-//! Tests of the two nodes, over a middleware that is a script.
+//! Tests of the two nodes with a scripted middleware.
 
 use crate::{Middleware, Participant, Published, Ros2Sink, Ros2Source, SinkConfig, SourceConfig};
 use conicflow_dataflow::testing::{Owned, collect, pass};
@@ -16,12 +16,12 @@ const CAMERA: Camera = Camera { width: 3, height: 2, fx: 52.5, fy: 52.0, cx: 1.0
 const STAMPED: Stamped<'_> = Stamped { stamp_ns: 7_000_000_001, frame_id: "camera_depth_optical_frame" };
 const PIXELS: [u16; 6] = [0, 1000, 65535, 4, 5, 6];
 
-/// What comes at each end: after so many looks a message.
+/// The messages that come at each endpoint, each with the number of empty looks before it.
 type Incoming = Vec<VecDeque<(u32, Vec<u8>)>>;
-/// What was sent, from which end.
+/// The messages that were sent, with their endpoints.
 type Sent = Vec<(usize, Vec<u8>)>;
 
-/// The scripts of the participants, by name: what comes, and what was sent from which end.
+/// The scripts of the participants by name: incoming and sent messages.
 static SCRIPTS: Mutex<BTreeMap<String, (Incoming, Sent)>> = Mutex::new(BTreeMap::new());
 
 struct Scripted {
@@ -73,7 +73,7 @@ impl Scripted {
     }
 }
 
-/// The source, which waits for ever for what an image lacks. It says so where nothing comes of that.
+/// The source without timeouts for cameras and poses. It fails with a message if nothing comes.
 struct Patient {
     source: Ros2Source<Scripted>,
     begin: Instant,
@@ -101,7 +101,7 @@ impl Source for Patient {
     }
 }
 
-/// What the source sends of such messages, none of which it gives up waiting for.
+/// Runs the source, without timeouts, on these messages; returns the frames that it sends.
 fn frames(stage: &str, more: serde_json::Value, incoming: Incoming, count: u64) -> Result<Vec<Owned<u16>>, RunError> {
     frames_of::<Patient>(stage, more, incoming, count)
 }
@@ -175,7 +175,7 @@ fn what_cannot_be_used_is_passed_over() {
     let larger = write_units(STAMPED, (6, 1), &PIXELS, Vec::new());
     let bad = [Vec::new(), vec![0; 3], vec![0xff; 4096], image()[..40].to_vec(), color, huge, larger];
     let images = queue(bad.into_iter().chain([image(), image()]));
-    // The camera is distorted at first; then rubbish comes on its topic.
+    // The camera is distorted at first; then invalid bytes come on its topic.
     let infos = VecDeque::from([(0, distorted), (0, vec![0xff; 64]), (7, info())]);
     let more = json!({ "topic": "/camera/depth/image_raw" });
     let frames = frames("hostile", more, vec![images, infos], 1).unwrap();
@@ -200,7 +200,7 @@ fn the_camera_has_its_pose_where_transforms_tell_it() {
     assert!((told - 0.5).abs() < 1e-12, "{told}");
 }
 
-/// Transforms come by several images late, as those of a map do.
+/// Transforms arrive several images late, as those of a map do.
 #[test]
 fn as_many_images_wait_for_their_poses_as_come_meanwhile() {
     let pose = |x| [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
@@ -211,7 +211,7 @@ fn as_many_images_wait_for_their_poses_as_come_meanwhile() {
         let stamped = Stamped { stamp_ns: at(number), frame_id: "map" };
         write_transform(stamped, STAMPED.frame_id, &pose(number as f64), Vec::new())
     };
-    // An image comes at each look; the second transform when the last has come.
+    // An image comes at each look; the second transform comes after the last image.
     let dynamic = VecDeque::from([(0, transform(0)), (9, transform(7))]);
     let incoming = vec![queue(images), queue([info()]), VecDeque::new(), dynamic];
     let frames = frames("late", json!({ "world": "map" }), incoming, 8).unwrap();
@@ -243,7 +243,7 @@ fn an_organised_cloud_is_a_depth_image() {
         writer.u8(0).u32(12).u32(36).bytes(data.len(), data.into_iter()).u8(1);
         writer.finish()
     };
-    // The first is that of another camera.
+    // The first cloud is that of another camera.
     let incoming = vec![queue([cloud(1.0), cloud(CAMERA.fx)]), queue([info()])];
     let frames = frames("cloud", json!({ "topic": "/camera/depth/points" }), incoming, 1).unwrap();
     assert_eq!((frames[0].0.depth_scale, &frames[0].1[..]), (0.0001, &[20_000; 6][..]));
@@ -263,7 +263,7 @@ fn parameters_that_cannot_be_are_told() {
     assert_eq!(faults.iter().map(|fault| fault.key).collect::<Vec<_>>(), ["connect", "topic", "frame_id"]);
 }
 
-/// What the sink sends of a message with this header.
+/// Returns what the sink sends for a message with this header.
 fn sent(stage: &str, more: serde_json::Value, header: Header) -> Sent {
     let name = format!("conicflow_{stage}");
     SCRIPTS.lock().unwrap().remove(&name);
@@ -297,7 +297,7 @@ fn the_frame_is_the_one_that_is_told() {
         Reader::new(&sent[0].1).unwrap().stamped().unwrap().frame_id.to_owned()
     };
     let of_file = Header { source: Text::new("frame-7.png"), flags: RECORDED, ..Header::default() };
-    // The test runs the sink behind a stage that is called `upstream`.
+    // The test runs the sink behind a stage called `upstream`.
     assert_eq!(frame_of(json!({}), of_file), "upstream");
     assert_eq!(frame_of(json!({ "frame_id": "optical" }), of_file), "optical");
 }

@@ -1,8 +1,8 @@
-// Parts of the page, made by code.
+// Builders for parts of the page.
 
 import { colourOf, css } from "./colours.js";
 
-/** An element with these properties, and what is in it. */
+/** Creates an element with these properties and children. */
 export function element(tag, properties, ...children) {
     const made = Object.assign(document.createElement(tag), properties);
     made.append(...children);

@@ -1,12 +1,12 @@
-// The graph of stages from top to bottom: what each does and how fast, what goes from one to the next and what is lost; and what
-// they count.
+// The graph of stages from top to bottom: the rate and load of each stage, the rate and losses of each topic, and the stages'
+// counters.
 
 import { element } from "./elements.js";
 import { count, milliseconds } from "./words.js";
 
-/** Height of a stage, and of the room below it. */
+/** Height of a stage, and of the gap below it. */
 const [HIGH, GAP] = [50, 56];
-/** Width of a stage, and of the room that what is told beside an arrow needs. */
+/** Width of a stage, and of the text beside an arrow. */
 const [BOX, BESIDE] = [300, 320];
 
 const svg = (tag, attributes, ...children) => {
@@ -18,7 +18,7 @@ const svg = (tag, attributes, ...children) => {
 
 const text = (x, y, name, content) => svg("text", { x, y, class: name }, content);
 
-/** The stages in rows: each below all whose topics it reads. */
+/** The stages in rows: each below all stages whose topics it reads. */
 function rows(stages) {
     const depth = new Map(stages.map(({ name }) => [name, 0]));
     for (let round = 0; round < stages.length; round += 1) {
@@ -34,7 +34,7 @@ function rows(stages) {
     return levels.map((level) => stages.filter(({ name }) => depth.get(name) === level));
 }
 
-/** Counts of two looks as lists of { name, count, rate }; the largest first. */
+/** The counters with their rates since an earlier look, as a list of { name, value, rate }, the largest first. */
 function counted(now, before, seconds) {
     const entries = Object.entries(now ?? {});
     const rated = entries.map(([name, value]) => ({ name, value, rate: Math.max(0, value - (before?.[name] ?? value)) / seconds }));
@@ -50,7 +50,7 @@ export class GraphView {
         [this.#place, this.#counters] = [place, counters];
     }
 
-    /** Shows the stages, or in `instead` why there are none. */
+    /** Shows the stages, or the text `instead` if there are none. */
     show(graph, instead) {
         if (!graph) {
             this.#place.replaceChildren(none(instead));
@@ -67,14 +67,14 @@ export class GraphView {
     #draw({ stages, activity }, before, seconds) {
         const levels = rows(stages);
         const widest = Math.max(...levels.map((level) => level.length));
-        // A unit is a pixel where there is room: text is as large as elsewhere.
+        // A unit is a pixel if there is room, so text has its usual size.
         const width = Math.max(this.#place.clientWidth - 24, BESIDE, widest * (BOX + 24));
         const lone = Math.max(Math.min((width - BOX) / 2, width - BOX - 130), Math.min(24, width - BOX - 4));
         const place = new Map();
         levels.forEach((level, row) => {
             level.forEach((stage, column) => {
                 const x = width * ((column + 0.5) / level.length) - BOX / 2;
-                // A single column leaves room on its right for what is told beside the arrows.
+                // A single column leaves room on its right for the text beside the arrows.
                 place.set(stage.name, { x: widest === 1 ? lone : x, y: row * (HIGH + GAP) + 2, row });
             });
         });
@@ -91,13 +91,13 @@ export class GraphView {
                 }
             }
         }
-        // Each stage is read out with what comes to it; no arrow runs over what is told.
+        // A screen reader reads each stage with its inputs; no arrow crosses a text.
         const items = stages.map((stage) => {
             const { name } = stage;
             return svg("g", { role: "listitem" }, ...box(stage, place.get(name), activity), ...told.get(name));
         });
         this.#place.replaceChildren(svg("svg", { ...size, role: "list", "aria-label": "Stages" }, arrows, ...items));
-        // What does not fit is moved by the arrow keys, too.
+        // A graph that does not fit can be scrolled with the arrow keys, too.
         if (this.#place.scrollWidth > this.#place.clientWidth) {
             this.#place.tabIndex = 0;
         } else {
@@ -121,13 +121,16 @@ export class GraphView {
     }
 }
 
-/** An arrow from a stage to one that reads what it writes: to the next row, or past some; broken where it does not drive it. */
+/**
+ * An arrow from a stage to a reader of its output, to the next row or past some rows; dashed if the input does not drive the
+ * reader.
+ */
 function arrow(from, to, drives) {
     const isNext = to.row === from.row + 1;
     const [x1, y1, x2, y2] = [from.x + 16, from.y + HIGH, to.x + 16, to.y - 6];
-    // It stays in the drawing, where there is little room beside the boxes.
+    // It stays inside the drawing if there is little room beside the boxes.
     const bend = Math.max(-40 - 10 * (to.row - from.row), -Math.min(from.x, to.x) / 0.75);
-    // It goes sideways above what is told beside it.
+    // Its sideways part lies above the text beside it.
     const line = isNext
         ? `M${x1},${y1} C${x1},${y1 + 10} ${x2},${y1 + 4} ${x2},${y1 + 16} V${y2}`
         : `M${from.x},${from.y + HIGH / 2} C${from.x + bend},${y1} ${to.x + bend},${to.y} ${to.x - 6},${to.y + HIGH / 2}`;
@@ -135,7 +138,7 @@ function arrow(from, to, drives) {
     return [svg("path", { d: line, class: drives ? "edge" : "edge side" }), svg("path", { d: head, class: "arrow" })];
 }
 
-/** What is told beside the arrow that comes from a stage in the row above. */
+/** The text beside the arrow from a stage in the row above. */
 function beside(writer, reader, topic, to, { activity, before, seconds }) {
     const [x, y] = [to.x + 30, to.y - GAP / 2];
     const written = activity.topics.find((seen) => seen.topic === topic && seen.writer === writer.name);

@@ -1,4 +1,4 @@
-// The depth image in colours, with the outlines of what was found in it.
+// The depth image in colours, with the outlines of objects or tracks.
 
 import { HOLE, SCALE, colourOf, css } from "./colours.js";
 import { drawLabels } from "./labels.js";
@@ -16,7 +16,7 @@ export class ImageView {
 
     constructor(canvas, probe) {
         this.#canvas = canvas;
-        // Drawn by the processor: it is little, and without a graphics card the other way takes ten times as long.
+        // Drawn by the processor: there is little to draw, and without a graphics card the alternative takes ten times as long.
         this.#context = canvas.getContext("2d", { willReadFrequently: true });
         this.#paper = this.#small.getContext("2d", { willReadFrequently: true });
         canvas.addEventListener("pointermove", (event) => { probe.textContent = this.#depthAt(event); });
@@ -24,7 +24,7 @@ export class ImageView {
         new ResizeObserver(() => this.draw()).observe(canvas);
     }
 
-    /** Shows a frame; of one without an image the outlines alone. */
+    /** Shows a frame; without an image only the outlines. */
     show(frame, range) {
         this.#frame = frame;
         this.#canvas.parentElement.style.aspectRatio = `${frame.camera.width} / ${frame.camera.height}`;
@@ -53,7 +53,7 @@ export class ImageView {
         this.#paper.putImageData(this.#data, 0, 0);
     }
 
-    /** Draws what is shown anew. */
+    /** Redraws the present frame. */
     draw() {
         const [width, height] = [this.#canvas.clientWidth, this.#canvas.clientHeight];
         const ratio = Math.min(window.devicePixelRatio || 1, 2);
@@ -70,7 +70,7 @@ export class ImageView {
         context.clearRect(0, 0, width, height);
         const scale = width / camera.width;
         if (image) {
-            // A pixel that was sent stands for `step` of them along a row and a column.
+            // Each pixel that was sent stands for `step` pixels along the row and the column.
             context.imageSmoothingEnabled = image.step > 1;
             context.drawImage(this.#small, 0, 0, image.columns * image.step * scale, image.rows * image.step * scale);
         }
@@ -84,7 +84,7 @@ export class ImageView {
         }
     }
 
-    /** Draws an outline: what is surer is stronger, what is tentative or coasting is broken. */
+    /** Draws an outline: stronger for more certain items, dashed for tentative or coasting ones. */
     #outline(item, scale) {
         const context = this.#context;
         const [colour, sure] = [colourOf(item), sureness(item)];
@@ -99,7 +99,7 @@ export class ImageView {
         context.lineWidth = 1;
         context.strokeStyle = css(colour, 0.25 + 0.4 * sure);
         context.stroke(path(item.hidden, scale));
-        // What lies over the outline of another variant lets that be seen.
+        // The outline of a second variant is dashed, so that the first one shows through.
         context.setLineDash({ tentative: [2, 4], coasting: [9, 6] }[item.state] ?? (isSecond(item) ? [5, 5] : []));
         context.lineWidth = width;
         context.strokeStyle = isChosen ? "#fff" : css(colour, 0.4 + 0.6 * sure);
@@ -120,7 +120,7 @@ export class ImageView {
     }
 }
 
-/** Lines u0, v0, u1, v1, .. as a path; pixel centres lie at whole numbers. */
+/** A path of polylines u0, v0, u1, v1, ..; pixel centres lie at integers. */
 function path(lines, scale) {
     const path = new Path2D();
     for (const line of lines) {
@@ -136,7 +136,7 @@ function path(lines, scale) {
     return path;
 }
 
-/** The part of the drawing that an outline takes; nothing where none of it is in the image. */
+/** The bounding box of an outline in the drawing; null if it lies outside. */
 function box(item, scale, width, height) {
     const all = item.seen.flat();
     if (all.length === 0) {

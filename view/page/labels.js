@@ -1,4 +1,4 @@
-// Labels beside what they name: none lies over another one, nor more than need be over what is named.
+// Labels beside items: they never overlap each other, and cover items as little as possible.
 
 import { colourOf, css } from "./colours.js";
 import { foundBy, isSecond, name, percent, size, sureness } from "./words.js";
@@ -6,10 +6,10 @@ import { foundBy, isSecond, name, percent, size, sureness } from "./words.js";
 const FONT = '12px system-ui, "Segoe UI", Roboto, "Noto Sans", "DejaVu Sans", sans-serif';
 const LINE = 15;
 const PAD = 5;
-/** Where there is less room than this, labels have one line. */
+/** In a narrower drawing, labels have one line. */
 const NARROW = 460;
 
-/** How a line of a label is written: the first is what it is called. */
+/** The font of a line: the first line is the name. */
 const font = (index) => `${index === 0 ? 600 : 400} ${FONT}`;
 
 /** The lines of an item's label. */
@@ -24,7 +24,7 @@ const overlaps = (a, b) => a.x < b.x + b.width && b.x < a.x + a.width && a.y < b
 
 const rectangle = ({ left, top, right, bottom }) => ({ x: left, y: top, width: right - left, height: bottom - top });
 
-/** Where a label of this size may stand around a box, the best place first. */
+/** Possible positions of a label of this size around a box, the best first. */
 function places({ left, top, right, bottom }, width, height) {
     const middle = (left + right - width) / 2;
     const beside = (top + bottom - height) / 2;
@@ -42,7 +42,10 @@ function places({ left, top, right, bottom }, width, height) {
     return [...around, ...farther];
 }
 
-/** Draws the labels of `named`, a list of { item, box }, into a drawing of this size in CSS pixels; `chosen` is drawn on top. */
+/**
+ * Draws the labels of `named`, a list of { item, box }, into a drawing of this size in CSS pixels; the chosen one is placed
+ * first.
+ */
 export function drawLabels(context, named, width, height, chosen) {
     const taken = [];
     const order = named.filter(({ item }) => !isSecond(item)).sort((a, b) => (b.item.id === chosen) - (a.item.id === chosen) || sureness(b.item) - sureness(a.item));

@@ -1,4 +1,4 @@
-// The list of what was found: where it is, how big, how sure, and how it moves.
+// The list of objects or tracks: position, size, confidence and velocity.
 
 import { element, swatch } from "./elements.js";
 import { degrees, difference, foundBy, isSecond, millimetres, name, norm, percent } from "./words.js";
@@ -17,10 +17,10 @@ function cell(label, text, sigma) {
 
 const chip = (text, kind = "") => element("span", { className: `chip ${kind}` }, text);
 
-/** What it is; `other` is the same as a second variant has found it. */
+/** The name of an item; `other` is the result of a second variant for it. */
 const named = (item, other) => [swatch(item), ...(other ? [swatch(other)] : []), name(item)];
 
-/** How far it is to be believed, in words. */
+/** Short remarks about the state of a track, and about the variants that found the item. */
 function chips(item, other) {
     const made = [];
     if (item.state && item.state !== "confirmed") {
@@ -43,11 +43,11 @@ function confidence(item) {
     return made;
 }
 
-/** What is told of it behind its name. */
+/** The cells of a row after the name. */
 function cells(item) {
     const [x, y, z] = item.center.map((part) => part.toFixed(3));
     const away = Math.max(...item.sigma.center) * 1000;
-    // Of a cone that in its middle, of which the standard deviation is.
+    // For a cone, the radius at its centre, to which the standard deviation belongs.
     const [mm, sigma] = millimetres(item.radius_at_center, item.sigma.radius).split(" ± ");
     const angle = item.half_angle === undefined ? "" : `, ${degrees(item.half_angle)}`;
     const base = item.kind === "cone" ? [cell("base radius", millimetres(item.base_radius))] : [];
@@ -64,19 +64,19 @@ function cells(item) {
     ];
 }
 
-/** What is told of it where the pointer stands on it. */
+/** The tooltip of a row. */
 function title(item) {
     const ends = item.kind === "cone" ? `radius ${millimetres(item.top_radius)} to ${millimetres(item.base_radius)}; ` : "";
     return `${ends}${item.points} points in ${item.rows} scan lines, ${(item.rms * 1000).toFixed(1)} mm from the surface`;
 }
 
-/** A row of the table. It stays as long as what it tells of, and with it its button: else the keyboard would lose that. */
+/** A row of the table. It is reused for the same track, with its button, which would otherwise lose the keyboard focus. */
 class Row {
     element;
     #name;
     #chips = element("span");
 
-    /** `choose` is told that it was clicked or pressed; without it that changes nothing. */
+    /** `choose` is called when the row is clicked or pressed; without it the row cannot be selected. */
     constructor(choose) {
         this.#name = element(choose ? "button" : "span");
         this.element = element("tr", {}, element("td", {}, this.#name, this.#chips));
@@ -99,7 +99,7 @@ class Row {
 }
 
 const HEADS = ["what", "confidence", "x, y, z from the camera", "radius", "length", "speed"];
-/** The last of them where two variants are compared. */
+/** The last heading if two variants are compared. */
 const COMPARED = "B from A";
 
 export class ListView {
@@ -109,7 +109,7 @@ export class ListView {
     #rows = new Map();
     #choose;
 
-    /** `choose` is told the number of the track that was clicked or pressed. */
+    /** `choose` is called with the number of the track that was clicked or pressed. */
     constructor(table, choose) {
         this.#choose = choose;
         table.append(this.#head, this.#body);
@@ -134,7 +134,7 @@ export class ListView {
         this.#place([...rows.values()].map((row) => row.element));
     }
 
-    /** Puts rows in their order; those that are in their place stay there, and with them the keyboard's focus. */
+    /** Puts rows in order; those already in place stay, and keep the keyboard focus. */
     #place(wanted) {
         [...this.#body.rows].filter((row) => !wanted.includes(row)).forEach((row) => row.remove());
         wanted.forEach((row, index) => {

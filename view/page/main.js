@@ -1,4 +1,4 @@
-// The page: hands each answer of the server to the views.
+// The page: passes each answer of the server to the views.
 
 import { DepthRange, SCALE } from "./colours.js";
 import { element, swatch } from "./elements.js";
@@ -11,9 +11,9 @@ import { Timeline } from "./timeline.js";
 import { Trails } from "./trails.js";
 import { isSecond, metres, milliseconds } from "./words.js";
 
-/** Texts are written anew no more often than this. */
+/** The shortest time between updates of texts. */
 const TEXT_MS = 200;
-/** Without a graphics card frames are asked for no more often than this: the robot has better things to do. */
+/** Without a graphics card, the shortest time between requests: the robot needs its processors. */
 const SLOW_MS = 200;
 
 const by = (id) => document.getElementById(id);
@@ -29,18 +29,18 @@ let frame = null;
 let written = 0;
 let isWriting = false;
 let title = "";
-/** What was told around the frames. */
+/** Information about the frames. */
 let about = { run: null, notice: null };
 let variants = [];
-/** Whether what is shown is left from a run that is over. */
+/** Whether the page shows the last state of a run that is over. */
 let isOld = false;
-/** Whether the last answer could be shown: else the notice says why not. */
+/** Whether the last answer could be shown; otherwise the notice says why not. */
 let isAnswered = true;
-/** When the last frames were shown, and which start of each camera they are of. */
+/** When the last frames were shown, and the present epoch of each camera. */
 let shown = [];
 const epochs = new Map();
 
-/** The view of space; where the browser cannot draw it, that is said. */
+/** Creates the 3D view, or a remark if the browser cannot draw it. */
 function openSpace() {
     try {
         return new SpaceView(by("space-image"), by("space-text"));
@@ -51,7 +51,7 @@ function openSpace() {
     }
 }
 
-/** Marks a track in all views, or no longer. */
+/** Selects a track in all views, or deselects it. */
 function choose(id) {
     image.chosen = image.chosen === id ? undefined : id;
     if (space) {
@@ -62,24 +62,24 @@ function choose(id) {
     list.show(frame, image.chosen);
 }
 
-/** A track of another run may have the same number: it is not marked. */
+/** Deselects the track: one of another run may have the same number. */
 function forget() {
     if (image.chosen !== undefined) {
         choose(image.chosen);
     }
 }
 
-/** Keeps when a frame was shown: of the last two seconds, and of two frames at least. */
+/** Records when a frame was shown, for the last two seconds and at least two frames. */
 function countShown() {
     const now = performance.now();
     shown = [...shown.filter((at, index) => at > now - 2000 || index === shown.length - 1), now];
 }
 
-/** How often a second frames are shown; nothing where none is to follow. */
+/** Shows the rate of frames, unless playback or the run stands still. */
 function writeRate() {
     shown = timeline.goesOn ? shown : [];
     const [begin, end, gaps] = [shown[0], shown.at(-1), shown.length - 1];
-    // One that is overdue counts as if it came now.
+    // An overdue frame counts as if it came now.
     const until = Math.max(end, performance.now() - (end - begin) / gaps);
     by("rate").textContent = gaps > 0 ? `${((1000 * gaps) / (until - begin)).toFixed(1)} Hz` : "–";
 }
@@ -104,7 +104,7 @@ function showFrame(next) {
     }
 }
 
-/** Writes what is told in words: more seldom than frames come, for nobody reads that fast. */
+/** Updates the texts, less often than frames come, because nobody reads that fast. */
 function writeTexts() {
     [isWriting, written] = [false, performance.now()];
     writeRate();
@@ -122,7 +122,7 @@ function writeTexts() {
     });
 }
 
-/** How much was found in the frame, and by whom. */
+/** Says how many objects were found in the frame, and by which variant. */
 function counted() {
     const [all, at] = [frame.items, frame.source || `frame ${frame.sequence}`];
     if (variants.length === 0) {
@@ -135,7 +135,7 @@ function counted() {
     return `${all.filter((item) => isSecond(item)).length} in both, ${only("a")} only in A, ${only("b")} only in B, in ${at}`;
 }
 
-/** Which colour is whose, where two variants are compared. */
+/** Shows the colours of two compared variants. */
 function showVariants() {
     const named = variants.map((name, index) => {
         const letter = "ab"[index];
@@ -145,7 +145,7 @@ function showVariants() {
     by("variants").hidden = named.length === 0;
 }
 
-/** Fills a choice with names, and hides it where there is none. */
+/** Fills a selection with names, and hides it if there is no choice. */
 function fill(select, names, chosen) {
     select.hidden = names.length < 2 && (names.length === 0 || names[0] === chosen);
     const isGone = names.length > 0 && !names.includes(chosen);
@@ -182,12 +182,12 @@ function showAbout(isRecording) {
     fill(by("pipeline"), about.pipelines, title);
     fill(by("depth-topic"), about.depth_topics, about.depth_topic);
     by("title").hidden = !by("pipeline").hidden || variants.length > 0;
-    // A recording tells nothing of stages.
+    // A recording has no information about stages.
     document.body.classList.toggle("recording", isRecording);
     graph.show(about.graph, "No stages are seen yet.");
 }
 
-/** Marks whether what is shown is of now. */
+/** Marks whether the page shows the present state. */
 function showAge(isNow) {
     isOld = !isNow;
     document.body.classList.toggle("old", isOld);
@@ -251,7 +251,7 @@ function drawScale() {
 
 drawScale();
 listen();
-// The image is as fine as is asked for; a phone begins with the same as a screen.
+// The user chooses the resolution of the image; its default is the same for a phone and a screen.
 follow({
     wanted: () => by("detail").value,
     show: (answer) => {

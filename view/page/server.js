@@ -1,13 +1,13 @@
-// Asks the server for what has not been seen yet, again and again; and tells it what is wished.
+// Polls the server for news, and sends commands to it.
 
 const browser = Array.from(crypto.getRandomValues(new Uint8Array(8)), (byte) => byte.toString(16).padStart(2, "0")).join("");
 const AGAIN_MS = 1500;
-/** Who draws a frame in less is fast: two pictures of a screen. */
+/** Drawing a frame in less than this is fast: two refreshes of a screen. */
 const SLOW_MS = 34;
 
 const sleep = (ms) => new Promise((done) => setTimeout(done, ms));
 
-/** Waits until the page is to be seen: a hidden one asks for nothing. */
+/** Waits until the page is visible: a hidden one does not poll. */
 function visible() {
     if (!document.hidden) {
         return Promise.resolve();
@@ -15,7 +15,7 @@ function visible() {
     return new Promise((done) => document.addEventListener("visibilitychange", done, { once: true }));
 }
 
-/** Takes an answer apart: the length of a text, the text, the depths of the pixels. */
+/** Decodes an answer: the length of a text, the text, the depths of the pixels. */
 function read(buffer) {
     const length = new DataView(buffer).getUint32(0, true);
     const answer = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
@@ -23,7 +23,7 @@ function read(buffer) {
     if (image) {
         answer.frame.pixels = new Uint16Array(buffer, 4 + length, image.columns * image.rows);
     }
-    // Two variants count their tracks each for itself.
+    // The track numbers of two variants are independent.
     for (const item of answer.frame?.items ?? []) {
         if (item.variant && item.id !== undefined) {
             item.id = `${item.variant}${item.id}`;
@@ -33,11 +33,11 @@ function read(buffer) {
 }
 
 /**
- * Asks for ever; `wanted` tells how many pixels along a row, `show` draws an answer, `tell` says how it goes, `rest` how many
- * milliseconds there are between two questions at least.
+ * Polls for ever. `wanted` returns the number of pixels per row, `show` draws an answer, `tell` reports the state of the
+ * connection, `rest` returns the shortest time between two requests in milliseconds.
  */
 export async function follow({ wanted, show, tell, rest }) {
-    // The numbers of the last frame, and of what was told last around the frames.
+    // The numbers of the last frame and of the last other change.
     let seen = { frames: 0, told: 0 };
     for (;;) {
         await visible();
@@ -52,7 +52,7 @@ export async function follow({ wanted, show, tell, rest }) {
             }
             answer = read(await response.arrayBuffer());
         } catch {
-            // Nobody is there, or the answer was cut.
+            // There is no server, or the answer was cut.
             seen = { frames: 0, told: 0 };
             tell("bad", "conicflow view does not answer: has it ended? It is asked again.");
             await sleep(AGAIN_MS);
@@ -65,25 +65,25 @@ export async function follow({ wanted, show, tell, rest }) {
             show(answer);
             tell("good", "");
         } catch (error) {
-            // The next one may be drawn.
+            // The next answer may succeed.
             reportError(error);
             tell("bad", `This page cannot draw what it got; it may help to load it anew (${error.message}).`);
         }
-        // The next one comes when this one is drawn. Who takes long for it rests as long: it may be on the robot.
+        // Wait until this answer is drawn. After a slow drawing rest as long as it took: the browser may run on the robot.
         await new Promise(requestAnimationFrame);
         const took = performance.now() - begin;
         await sleep(Math.max(took > SLOW_MS ? took : 0, rest() - took));
     }
 }
 
-/** Comes when all wishes before are sent. */
+/** Resolves when all earlier commands are sent. */
 let sent = Promise.resolve();
 
-/** Tells a wish, such as { do: "pause" }, when those before it are told: sent at once, they might come in another order. */
+/** Sends a command, such as { do: "pause" }, after the earlier ones: sent at once, they might arrive in another order. */
 export function wish(command) {
     const body = JSON.stringify(command);
     const send = () => fetch("command", { method: "POST", headers: { "Content-Type": "application/json" }, body });
     sent = sent.then(send).catch(() => {
-        // Whether the server is there is told by the asking.
+        // The polling reports whether the server is there.
     });
 }

@@ -1,4 +1,4 @@
-// Spheres, cylinders and cones in space: the surface, its axis, its velocity, and as a halo how far it may be off.
+// 3D shapes of spheres, cylinders and cones: surface, axis and velocity, and a halo that shows the uncertainty.
 
 import {
     BackSide, BufferAttribute, BufferGeometry, Color, ConeGeometry, CylinderGeometry, DoubleSide, Group, Line, LineBasicMaterial,
@@ -8,22 +8,22 @@ import { colourOf } from "./colours.js";
 import { norm, sureness } from "./words.js";
 
 const AROUND = 48;
-/** Arrows are as long as what is shown moves in so many seconds. */
+/** Velocity arrows show the motion of this many seconds. */
 const ARROW_S = 0.5;
-/** What moves by less than so many standard deviations may stand still. */
+/** An item that moves by less than this many standard deviations may stand still. */
 const MOVES_SIGMAS = 3;
 const UP = new Vector3(0, 1, 0);
 
 const colour = (item) => new Color().setRGB(...colourOf(item).map((part) => part / 255), "srgb");
 
-/** The points (three numbers each) joined by lines, one to the next; as `LineSegments` two and two. */
+/** Joins points (three numbers each) by lines; `LineSegments` joins them in pairs. */
 function line(points, options, Kind = Line) {
     const geometry = new BufferGeometry();
     geometry.setAttribute("position", new BufferAttribute(new Float32Array(points.flat()), 3));
     return new Kind(geometry, new LineBasicMaterial({ transparent: true, ...options }));
 }
 
-/** The surface, `wider` metres away from the measured one. */
+/** The surface, offset outwards by `wider` metres. */
 function surface(item, wider) {
     if (item.kind === "sphere") {
         return new SphereGeometry(Math.max(item.radius + wider, 0.001), AROUND, AROUND / 2);
@@ -33,7 +33,7 @@ function surface(item, wider) {
     return new CylinderGeometry(Math.max(wide + wider, 0), Math.max(narrow + wider, 0), item.length + 2 * wider, AROUND, 1, wider > 0);
 }
 
-/** Rings and edges of the surface, as lines. */
+/** Rings and edges of the surface as lines. */
 function rings(item) {
     const circle = (radius, height) => {
         const points = [];
@@ -56,7 +56,10 @@ function rings(item) {
     return [circle(wide, half), circle(narrow, -half), ...sides];
 }
 
-/** The ellipsoid in which the centre lies, so many standard deviations wide: a sphere stretched by the root of the covariance. */
+/**
+ * The transformation of a unit sphere to the ellipsoid of the centre's uncertainty, `sigmas` standard deviations wide: the
+ * Cholesky factor of the covariance.
+ */
 function centreHalo(covariance, sigmas) {
     const l = [[0, 0, 0], [0, 0, 0], [0, 0, 0]];
     for (let i = 0; i < 3; i += 1) {
@@ -74,7 +77,7 @@ function centreHalo(covariance, sigmas) {
     );
 }
 
-/** An item in the camera's frame of coordinates; `halo` in standard deviations. */
+/** The shape of an item in the camera frame; `halo` in standard deviations. */
 export function shape(item, halo, isChosen) {
     const group = new Group();
     const [tint, sure] = [colour(item), sureness(item)];
@@ -107,7 +110,7 @@ export function shape(item, halo, isChosen) {
     return group;
 }
 
-/** Where it will be in a moment. */
+/** An arrow to the item's position in a moment. */
 function arrow(item) {
     const group = new Group();
     const [from, way] = [new Vector3().fromArray(item.center), new Vector3().fromArray(item.velocity).multiplyScalar(ARROW_S)];
@@ -119,7 +122,7 @@ function arrow(item) {
     return group;
 }
 
-/** The way of a track, the older the paler. */
+/** The path of a track, paler with age. */
 export function trail(points, item) {
     const [way, tint] = [line(points, { vertexColors: true }), colour(item)];
     const colours = points.flatMap((_, index) => [tint.r, tint.g, tint.b, (index + 1) / points.length]);
@@ -127,7 +130,7 @@ export function trail(points, item) {
     return way;
 }
 
-/** What the camera sees, as far as `depth`: the rays through the corners of its image, and its axes in red, green and blue. */
+/** The camera's field of view up to `depth`: the rays through the corners of its image, and its axes in red, green and blue. */
 export function frustum({ width, height, fx, fy, cx, cy }, depth) {
     const corner = (u, v) => [((u - cx) / fx) * depth, ((v - cy) / fy) * depth, depth];
     const corners = [corner(-0.5, -0.5), corner(width - 0.5, -0.5), corner(width - 0.5, height - 0.5), corner(-0.5, height - 0.5)];
@@ -141,7 +144,7 @@ export function frustum({ width, height, fx, fy, cx, cy }, depth) {
     return group;
 }
 
-/** Gives back what a drawing held. */
+/** Frees the resources of a drawing. */
 export function dispose(object) {
     object.traverse((part) => {
         part.geometry?.dispose();

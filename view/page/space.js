@@ -1,5 +1,4 @@
-// The frame in space: the points that the depth image tells, the shapes among them, and the camera; seen from where one likes.
-// It is drawn only when something has changed.
+// The 3D view: the points of the depth image, the shapes and the camera, from any viewpoint. It is drawn only after a change.
 
 import {
     BufferAttribute, BufferGeometry, DataTexture, DirectionalLight, DynamicDrawUsage, GLSL3, GridHelper, Group, HemisphereLight, Matrix4,
@@ -34,32 +33,32 @@ void main() {
     colour = vec4(texture(colours, vec2((part * 255.0 + 0.5) / 256.0, 0.5)).rgb * 0.85, 1.0);
 }`;
 
-/** Camera coordinates (x right, y down, z forward) in those of the drawing (y up, z backward). */
+/** Converts camera coordinates (x right, y down, z forward) to those of the drawing (y up, z backward). */
 const FROM_CAMERA = new Matrix4().set(1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1);
 
-/** Without a graphics card space is drawn no more often than this: the robot has better things to do. */
+/** Without a graphics card, the shortest time between drawings: the robot needs its processors. */
 const SLOW_MS = 2000;
-/** ... but when it is turned. */
+/** The same while the view is being turned. */
 const TURNED_MS = 300;
 
 export class SpaceView {
     #renderer;
     #text;
     #scene = new Scene();
-    /** All that is told in camera coordinates, and where that camera is. */
+    /** All parts in camera coordinates, and the pose of the camera. */
     #seen = new Group();
     #cloud;
     #parts = new Group();
-    /** What is no longer drawn, and not given back yet. */
+    /** Parts that are no longer drawn and not disposed of yet. */
     #old = [];
     #grid = new GridHelper(12, 24, 0x33405a, 0x1d2533);
-    /** In whose coordinates the grid was laid. */
+    /** The coordinates in which the grid was placed. */
     #laid;
     #eye = new PerspectiveCamera(50, 4 / 3, 0.02, 200);
     #controls;
     #frame;
     #trails;
-    /** When it is drawn next, by which timer; and when it was drawn last. */
+    /** When it is drawn next, by which timer. */
     #due = Infinity;
     #timer;
     #isPlaced = false;
@@ -69,7 +68,7 @@ export class SpaceView {
     #drawn = -Infinity;
     #size = "";
     #upright = new Matrix4();
-    /** In whose coordinates it is drawn. */
+    /** The coordinates of the drawing. */
     coordinates = "camera";
     halo = 3;
     labels = true;
@@ -110,7 +109,7 @@ export class SpaceView {
         }
     }
 
-    /** Draws the shapes anew, with what was chosen meanwhile. */
+    /** Updates the shapes, with the present selection and settings. */
     redraw() {
         if (!this.#frame) {
             return;
@@ -142,7 +141,7 @@ export class SpaceView {
         this.#ask();
     }
 
-    /** Looks from somewhere else: "free" from a corner, "eye" from the camera, "side", "top". */
+    /** Changes the viewpoint: "free" from a corner, "eye" from the camera, "side", "top". */
     look(from) {
         const { camera } = this.#frame ?? {};
         if (!camera) {
@@ -153,7 +152,7 @@ export class SpaceView {
         const away = middle.z;
         const place = (point) => new Vector3(...point).applyMatrix4(this.#seen.matrix);
         const [target, lens] = [place(from === "eye" ? [0, 0, away] : middle.toArray()), place([0, 0, 0])];
-        // From above, what is far from the camera is at the top of the drawing.
+        // From above, the far side is at the top of the drawing.
         const back = lens.clone().sub(target).setY(0).normalize().multiplyScalar(0.01);
         const places = {
             free: place([0.7 * away, -0.6 * away, 0.1 * away]),
@@ -168,7 +167,7 @@ export class SpaceView {
         this.#ask();
     }
 
-    /** About the middle of what was found, or else of what is measured, on the camera's axis. */
+    /** The approximate middle of the objects, or else of the measured points, on the camera's axis. */
     #middle() {
         const { pixels, image, items } = this.#frame;
         if (items.length > 0) {
@@ -201,7 +200,7 @@ export class SpaceView {
         [uniforms.near.value, uniforms.far.value] = [near, far];
     }
 
-    /** Lays the grid where the lowest of the points are, in the drawing's height; smoothly within the same coordinates. */
+    /** Places the grid at the height of the lowest points; moves it smoothly within the same coordinates. */
     #layFloor({ pixels, image: { columns, step, scale }, camera }, coordinates) {
         const heights = [];
         const e = this.#seen.matrix.elements;
@@ -223,7 +222,7 @@ export class SpaceView {
         }
     }
 
-    /** Draws soon, once for all that has changed until then. */
+    /** Requests a drawing soon, once for all changes until then. */
     #ask(slow = SLOW_MS) {
         const due = this.isSlow ? this.#drawn + slow : 0;
         if (due < this.#due) {
@@ -254,7 +253,7 @@ export class SpaceView {
             this.#cloud.material.uniforms.size.value = (1.25 * perMetre * this.#frame.image.step) / this.#frame.camera.fx;
         }
         this.#renderer.render(this.#scene, this.#eye);
-        // Not before: what is drawn next uses their shaders, which would have to be made anew.
+        // Only now: the new parts use the shaders of the old ones, which would have to be compiled again.
         this.#old.splice(0).forEach(dispose);
         this.#write(width, height, ratio);
     }
@@ -270,7 +269,7 @@ export class SpaceView {
         drawLabels(this.#text, named, width, height, this.chosen);
     }
 
-    /** The part of the drawing that an item takes, about; nothing where it is behind the eye or beside the drawing. */
+    /** The approximate box of an item in the drawing; null if it is behind the viewpoint or outside. */
     #box(item, width, height) {
         const centre = new Vector3().fromArray(item.center).applyMatrix4(this.#seen.matrix);
         const reach = Math.max(item.radius_at_center, (item.length ?? 0) / 2);
@@ -286,7 +285,7 @@ export class SpaceView {
     }
 }
 
-/** Whether there is no graphics card, as far as the browser tells. */
+/** Whether there is no graphics card, as far as the browser reveals it. */
 function isDrawnBySoftware() {
     const gl = document.createElement("canvas").getContext("webgl2");
     if (!gl) {
@@ -309,7 +308,7 @@ function cloud() {
     return points;
 }
 
-/** The rotation that turns a world's own up, the axis that is nearest to the camera's, to that of the drawing. */
+/** The rotation of the world's up axis (the axis nearest to the camera's up) to that of the drawing. */
 function uprightFrom(pose) {
     const up = pose.map((row) => -row[1]);
     const axis = up.reduce((best, part, index) => (Math.abs(part) > Math.abs(up[best]) ? index : best), 0);

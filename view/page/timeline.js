@@ -1,18 +1,18 @@
-// The time line: play, pause and step a recording or a run; of a recording also go somewhere else, faster or slower.
+// The timeline: play, pause and step for a recording or a run; for a recording also position and speed.
 
 import { wish } from "./server.js";
 
 const PLAY = "M4 2.5v11l9-5.5z";
 const PAUSE = "M3.5 3h3v10h-3zM9.5 3h3v10h-3z";
 
-/** What has a use of its own for a key: choices and sliders for the arrows, and for space as well as what it presses. */
+/** Elements with their own use of keys: selections and sliders use the arrows, and these and buttons use space. */
 const OWN_ARROWS = 'select, input:not([type="checkbox"])';
 const OWN_SPACE = "select, input, button";
 
-/** Whether the arrows move something sideways. */
+/** Whether the arrow keys scroll an element sideways. */
 const scrolls = ({ tabIndex, scrollWidth, clientWidth }) => tabIndex >= 0 && scrollWidth > clientWidth;
 
-/** Whether a run is paused, in words. */
+/** Describes whether a run is paused. */
 function told({ can_pause: canPause, live, paused }) {
     const names = live.join(", ");
     if (!canPause) {
@@ -47,7 +47,7 @@ export class Timeline {
         });
         position.addEventListener("change", () => { this.#isHeld = false; });
         document.addEventListener("keydown", (event) => this.#key(event));
-        // What was used with a pointer gives the keys back; whoever uses the keyboard goes on from where they are.
+        // A control used with a pointer gives up the focus; keyboard users keep it.
         document.addEventListener("click", ({ detail }) => {
             const { activeElement } = document;
             if (detail > 0 && activeElement?.matches("button, input")) {
@@ -56,7 +56,7 @@ export class Timeline {
         });
     }
 
-    /** Shows where the recording is, or whether the run is paused, if there is one; `waits` tells that none is there. */
+    /** Shows the state of the recording or of the run; `waits` says that there is neither. */
     show(player, run, waits) {
         [this.#player, this.#run, this.#waits] = [player, player ? null : run, waits];
         this.#hasStepped = false;
@@ -86,12 +86,12 @@ export class Timeline {
         note.textContent = this.#run ? told(this.#run) : "";
     }
 
-    /** What is shown: "recording", "waiting", "paused" or "live". */
+    /** The state: "recording", "waiting", "paused" or "live". */
     get state() {
         return this.#player ? "recording" : this.#waits ? "waiting" : this.#run?.paused ? "paused" : "live";
     }
 
-    /** Whether one frame is to follow the other. */
+    /** Whether more frames are expected. */
     get goesOn() {
         return this.#player ? this.#player.plays : !this.#waits && !this.#run?.paused;
     }
@@ -108,14 +108,14 @@ export class Timeline {
         const { key, target, repeat } = event;
         const step = (by) => wish({ do: "step", by });
         const keys = { " ": () => this.#toggle(), ArrowLeft: () => step(-1), ArrowRight: () => step(1) };
-        // With these they are the browser's, such as the way back to another page.
+        // With these modifiers the keys belong to the browser, such as for going back.
         const isBrowsers = event.altKey || event.ctrlKey || event.metaKey;
         const isOwn = target.matches?.(key === " " ? OWN_SPACE : OWN_ARROWS) || (key !== " " && scrolls(target));
         if (!this.#canPause || !keys[key] || isBrowsers || isOwn) {
             return;
         }
         event.preventDefault();
-        // An arrow that is held steps on and on, as fast as steps are shown; space does not pause and go on by turns.
+        // A held arrow key repeats steps as fast as they are shown; a held space key acts once.
         if (!repeat || (key !== " " && !this.#hasStepped)) {
             this.#hasStepped = true;
             keys[key]();

@@ -1,17 +1,16 @@
-// Where tracks have been: their centres of the last seconds, in the camera's frame of coordinates and, where its pose is known,
-// in the world's.
+// The trails of tracks: their centres during the last seconds, in the camera frame and, if the pose is known, in the world.
 
 const LENGTH_S = 4;
 const MOST_POINTS = 240;
 
-/** A point of the camera's frame in the world, by `pose`, row-major [R | t]. */
+/** Transforms a point from the camera frame to the world by `pose`, row-major [R | t]. */
 export const toWorld = (pose, [x, y, z]) => pose.map(([a, b, c, t]) => a * x + b * y + c * z + t);
 
 export class Trails {
-    /** Of each camera, whose frames may come in turn with others: its trails, and the start and stamp of its last frame. */
+    /** By camera, whose frames may alternate with those of others: its trails, and the epoch and stamp of its last frame. */
     #cameras = new Map();
 
-    /** Takes a frame; what comes from another run, or from before, begins anew. */
+    /** Adds a frame; a frame of another run, or of an earlier time, starts new trails. */
     follow({ origin, epoch, stamp_s: stamp, pose, items }) {
         const last = this.#cameras.get(origin);
         const goesOn = last && epoch === last.epoch && stamp >= last.stamp && stamp <= last.stamp + LENGTH_S;

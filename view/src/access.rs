@@ -1,9 +1,9 @@
-//! Who may look: where the page is offered, and which requests are answered there.
+//! Access control: the address of the page, and which requests are answered there.
 //!
-//! At a loopback address every user of this machine may look, but no page from elsewhere may: neither by a name of its own that
-//! leads here (DNS rebinding, told by `Host`) nor by requests that it makes its visitors send (told by `Origin` and
-//! `Sec-Fetch-Site`). At any other address a token is asked for, once in the address of the page, then as a cookie, or of a
-//! program in `Authorization: Bearer`; unless what is offered is for everyone.
+//! At a loopback address every user of this machine has access, but no foreign web page has: neither by a host name of its own
+//! that leads here (DNS rebinding, detected by `Host`) nor by requests that it makes its visitors send (detected by `Origin` and
+//! `Sec-Fetch-Site`). At any other address a token is required, which is passed once in the URL of the page and then as a cookie,
+//! or by a program in `Authorization: Bearer`; unless the page is open to everyone.
 
 use crate::request::Request;
 use crate::response::Response;
@@ -14,34 +14,34 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
 /// Shorter tokens could be guessed.
 const SHORTEST_TOKEN: usize = 12;
-/// Where the page is, if nothing else is said.
+/// The default port of the page.
 const DEFAULT_PORT: u16 = 8760;
 
-/// Where the page is offered, and to whom.
+/// The address of the page, and its token.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Listen {
     /// The address.
     pub address: SocketAddr,
-    /// What has to be known to look; none at a loopback address, unless one is wanted, and where everyone may look.
+    /// The token that is required; `None` at a loopback address by default, and where everyone has access.
     pub token: Option<String>,
-    /// Whether another port will do if this one is taken.
+    /// Whether another port may be used if this one is taken.
     pub or_any_port: bool,
 }
 
-/// Why a page cannot be offered there.
+/// Why the page cannot be served there.
 #[derive(Debug, thiserror::Error)]
 pub enum ListenFault {
-    /// What was written is no address or no token.
+    /// The text is no address or no token.
     #[error(transparent)]
     Text(#[from] Hinted),
-    /// No token can be made.
+    /// A token cannot be generated.
     #[error("`/dev/urandom` cannot be read for a token: {0}")]
     Token(#[from] io::Error),
 }
 
 impl Listen {
-    /// Reads `ADDRESS`, `ADDRESS:PORT` or `:PORT`; without one it is a loopback address. Where others than this machine may come
-    /// a token is made, unless there is one.
+    /// Parses `ADDRESS`, `ADDRESS:PORT` or `:PORT`; the default is a loopback address. If other machines can connect and no token
+    /// is given, one is generated.
     ///
     /// # Errors
     /// The text is no address, or the token is too short.
@@ -56,7 +56,7 @@ impl Listen {
         Ok(Self { address: socket, token, or_any_port: address.is_none() })
     }
 
-    /// Just this address, where everyone may look who reaches it.
+    /// This address only, with access for everyone who can reach it.
     pub fn open(address: SocketAddr) -> Self {
         Self { address, token: None, or_any_port: false }
     }
@@ -81,32 +81,32 @@ fn check_token(token: &str) -> Result<String, Hinted> {
     Ok(token.to_owned())
 }
 
-/// 128 bits that nobody can guess.
+/// Generates 128 random bits.
 fn make_token() -> io::Result<String> {
     let mut bytes = [0; 16];
     File::open("/dev/urandom")?.read_exact(&mut bytes)?;
     Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
-/// Tells which requests are answered.
+/// Decides which requests are answered.
 #[derive(Debug)]
 pub(crate) struct Access {
     token: Option<String>,
-    /// Whether all names are good that lead here.
+    /// Whether any host name is accepted.
     is_open: bool,
-    /// The cookie that holds the token; pages at other ports of the same machine have others.
+    /// The name of the cookie with the token; pages at other ports of the same machine have other names.
     cookie: String,
 }
 
 impl Access {
-    /// Who may look at what is offered as `listen` says, at the address that this has come to.
+    /// Creates the access rules for `listen` at the actual address.
     pub(crate) fn new(listen: &Listen, address: SocketAddr) -> Self {
         let token = listen.token.clone();
         let is_open = token.is_none() && !address.ip().is_loopback();
         Self { token, is_open, cookie: format!("conicflow_{}", address.port()) }
     }
 
-    /// Nothing where a request may be answered, else the answer that it gets in place.
+    /// Returns `None` if a request may be answered, else the response that refuses it.
     pub(crate) fn refusal(&self, request: &Request) -> Option<Response> {
         let Some(host) = request.header("host") else {
             return Some(Response::refusal(400, "the request has no Host"));
@@ -130,7 +130,8 @@ impl Access {
         }
     }
 
-    /// Whoever brings the token in the address of the page is sent on to the page without it, and keeps it as a cookie.
+    /// Checks the token of a request. A request with the token in the URL of the page is redirected to the page without it, and
+    /// gets it as a cookie.
     fn token_refusal(&self, request: &Request, token: &str) -> Option<Response> {
         let brought = request.query("token");
         if request.path == "/" && brought.is_some_and(|brought| is_same(brought, token)) {
@@ -156,7 +157,7 @@ impl Access {
     }
 }
 
-/// Whether a `Host`, with or without a port, is this machine's by a name that nobody else can give it.
+/// Whether a `Host`, with or without a port, is a name of this machine that no other machine can assign.
 fn is_loopback_name(host: &str) -> bool {
     let name = match host.strip_prefix('[') {
         Some(rest) => rest.split(']').next().unwrap_or_default(),
@@ -165,7 +166,7 @@ fn is_loopback_name(host: &str) -> bool {
     name.eq_ignore_ascii_case("localhost") || name.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
 }
 
-/// Whether two texts are the same, in a time that does not tell where they differ.
+/// Whether two texts are equal, in a time that does not reveal where they differ.
 fn is_same(one: &str, other: &str) -> bool {
     let differences = one.bytes().zip(other.bytes()).fold(0, |found, (a, b)| found | (a ^ b));
     one.len() == other.len() && differences == 0

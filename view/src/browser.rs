@@ -1,7 +1,7 @@
-//! What the browsers that show the page are answered.
+//! Answers the requests of browsers that show the page.
 //!
-//! A browser asks for what it has not seen yet (`/look`), and gets it as soon as it is there; when it has drawn it, it asks anew.
-//! So a slow browser leaves frames out, and a browser that is gone asks for none.
+//! A browser asks for news (`/look`), and gets them as soon as there are any; once it has drawn them, it asks again. So a slow
+//! browser skips frames, and a closed one gets none.
 
 use crate::display::Display;
 use crate::page::file;
@@ -12,14 +12,14 @@ use serde_json::json;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// A request that nothing new comes for is answered after this time.
+/// A request is answered after this time even if there is no news.
 const UPDATE_TIMEOUT: Duration = Duration::from_millis(1000);
-/// How long the name is that a browser gives itself, at most.
+/// Maximum length of the name that a browser gives itself.
 const LONGEST_NAME: usize = 40;
-/// What is sent to a browser begins with a text, whose length is a multiple of this.
+/// The text at the start of an answer is padded to a multiple of this length.
 const ALIGNMENT: usize = 4;
 
-/// The page, with what a display shows.
+/// The page for a display.
 pub struct Page {
     display: Arc<Display>,
 }
@@ -39,12 +39,12 @@ impl Answer for Page {
 }
 
 impl Page {
-    /// The page that shows a display.
+    /// Creates the page for a display.
     pub fn new(display: Arc<Display>) -> Self {
         Self { display }
     }
 
-    /// What a browser has not seen: the length of a text in four bytes, the text in JSON, the depths of the pixels.
+    /// The answer with the news for a browser: the length of a text in four bytes, the text in JSON, the depths of the pixels.
     fn look(&self, request: &Request) -> Response {
         let browser = request.query("browser").unwrap_or_default();
         if browser.is_empty() || browser.len() > LONGEST_NAME {
@@ -68,7 +68,7 @@ impl Page {
         });
         let mut text = json.to_string();
         text.extend(std::iter::repeat_n(' ', text.len().next_multiple_of(ALIGNMENT) - text.len()));
-        // No text is that long: a list has a few hundred items, each of some kilobytes.
+        // No text is longer: a list has a few hundred items of some kilobytes each.
         let mut bytes = u32::try_from(text.len()).unwrap_or(0).to_le_bytes().to_vec();
         bytes.extend(text.as_bytes());
         if let Some(frame) = &look.frame {
@@ -91,7 +91,7 @@ impl Page {
     }
 }
 
-/// Whether a `Content-Type` is that of JSON, with or without parameters such as its character set.
+/// Whether a `Content-Type` is JSON, with or without parameters such as the character set.
 fn is_json(kind: &str) -> bool {
     kind.split(';').next().is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json"))
 }

@@ -1,4 +1,4 @@
-//! What is to be seen now: the newest frame and what is told around it, for any number of threads that show it to browsers.
+//! The state that the page shows: the newest frame and information about it, shared by the threads that serve browsers.
 
 use crate::frame::Frame;
 use serde::{Deserialize, Serialize};
@@ -7,59 +7,59 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// No more browsers than this are shown frames at the same time.
+/// Maximum number of browsers that are served at the same time.
 const MAX_BROWSERS: usize = 12;
-/// A browser that has not asked for so long has left.
+/// A browser that has not asked for this time has left.
 const LEFT: Duration = Duration::from_secs(3);
-/// No more wishes of browsers than this wait.
+/// Maximum number of commands that wait.
 const MAX_COMMANDS: usize = 32;
 
-/// What is told around the frames.
+/// Information about the frames.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct About {
-    /// What is shown: the name of a pipeline, or of a recording's file.
+    /// The name of the pipeline, or of the recording's file.
     pub title: String,
-    /// The names of two variants that are compared; else none.
+    /// The names of the two variants that are compared, or none.
     pub variants: Vec<String>,
-    /// Why there is nothing to be seen, or what one should know of what is.
+    /// Why there is nothing to see, or a remark about what is shown.
     pub notice: Option<String>,
-    /// The pipelines that run, where one may be chosen.
+    /// The running pipelines to choose from, if any.
     pub pipelines: Vec<String>,
-    /// The topics with depth images, where one may be chosen.
+    /// The topics with depth images to choose from, if any.
     pub depth_topics: Vec<String>,
-    /// The one whose images are shown.
+    /// The topic whose images are shown.
     pub depth_topic: Option<String>,
-    /// The stages and what joins them: `wiring` as planned, with `activity` as measured.
+    /// The stages and their connections: `wiring` as planned, with `activity` as measured.
     pub graph: Json,
-    /// Whether the run that is shown is paused; none of a recording.
+    /// The pause state of the run; `None` for a recording.
     pub run: Option<Run>,
 }
 
-/// Whether the sources of a run stand still.
+/// Whether the sources of a run are paused.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Run {
-    /// Whether any can.
+    /// Whether any source can be paused.
     pub can_pause: bool,
-    /// Those that cannot, and go on.
+    /// The sources that cannot be paused.
     pub live: Vec<String>,
-    /// Whether the others do.
+    /// Whether the others are paused.
     pub paused: bool,
 }
 
-/// How a recording is played.
+/// The state of a recording's playback.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Player {
-    /// Where it is, in seconds from its beginning.
+    /// The position, in seconds from the beginning.
     pub at_s: f64,
-    /// How long it is.
+    /// The length in seconds.
     pub length_s: f64,
-    /// Whether it goes on by itself.
+    /// Whether it plays.
     pub plays: bool,
-    /// How many seconds pass in one.
+    /// The speed; 1 is real time.
     pub speed: f64,
 }
 
-/// A wish of a browser. Of a run none changes more than whether its recorded or simulated sources stand still.
+/// A command of a browser. In a run, commands only pause recorded or simulated sources and let them go on.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Command {
@@ -68,33 +68,33 @@ pub enum Command {
         /// Its name.
         name: String,
     },
-    /// Show another camera's images.
+    /// Show the images of another topic.
     DepthTopic {
         /// The topic.
         name: String,
     },
-    /// Let the recording, or the run, go on.
+    /// Continue the recording or the run.
     Play,
-    /// Let it stand still.
+    /// Pause the recording or the run.
     Pause,
-    /// Show the next frame, or the one before.
+    /// Show the next or the previous frame.
     Step {
-        /// So many frames on; back, where it is negative. A run makes one more, and goes back to none.
+        /// The number of frames; negative: back. A run makes one more frame, and cannot go back.
         by: i32,
     },
-    /// Go somewhere else in the recording.
+    /// Go to another position of the recording.
     Seek {
-        /// Where to, in seconds from its beginning.
+        /// The position, in seconds from the beginning.
         at_s: f64,
     },
-    /// Play it faster or slower.
+    /// Change the speed of the recording.
     Speed {
-        /// How many seconds pass in one.
+        /// The speed; 1 is real time.
         factor: f64,
     },
 }
 
-/// What is to be seen now.
+/// The state that the page shows.
 #[derive(Default)]
 pub struct Display {
     state: Mutex<State>,
@@ -105,18 +105,18 @@ pub struct Display {
 #[derive(Default)]
 struct State {
     frame: Option<Arc<Frame>>,
-    /// How many frames there were.
+    /// Number of frames so far.
     frames: u64,
     about: Arc<About>,
     player: Option<Player>,
-    /// How often something else was told.
+    /// Number of changes of everything but the frames.
     told: u64,
-    /// When each browser asked last.
+    /// When each browser last asked.
     browsers: BTreeMap<String, Instant>,
     commands: VecDeque<Command>,
 }
 
-/// What a browser has not seen yet.
+/// The news for a browser.
 pub(crate) struct Update {
     pub(crate) frame: Option<Arc<Frame>>,
     pub(crate) frames: u64,
@@ -125,7 +125,7 @@ pub(crate) struct Update {
     pub(crate) told: u64,
 }
 
-/// Why a browser is shown nothing: there are enough of them.
+/// Too many browsers are connected.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct TooMany {
     pub(crate) limit: usize,
@@ -145,7 +145,7 @@ impl Display {
         self.changed.notify_all();
     }
 
-    /// Changes what is told around the frames.
+    /// Changes the information about the frames.
     pub fn tell(&self, change: impl FnOnce(&mut About)) {
         let mut state = self.state();
         let mut about = (*state.about).clone();
@@ -158,7 +158,7 @@ impl Display {
         }
     }
 
-    /// Tells how a recording is played; where it is goes with the frames.
+    /// Updates the playback state; a new position alone is sent with the next frame.
     pub fn tell_player(&self, player: Player) {
         let mut state = self.state();
         let same_way = |known: &Player| known.plays == player.plays && known.speed == player.speed;
@@ -170,19 +170,19 @@ impl Display {
         self.changed.notify_all();
     }
 
-    /// Whether somebody looks. Frames that nobody sees need not be brought here.
+    /// Whether any browser is connected. Otherwise frames need not be fetched.
     pub fn is_watched(&self) -> bool {
         self.state().browsers.values().any(|asked| asked.elapsed() < LEFT)
     }
 
-    /// The oldest wish, waited for no longer than this.
+    /// Waits for a command for at most `patience`; returns the oldest one.
     pub fn next_command(&self, patience: Duration) -> Option<Command> {
         let state = self.state();
         let waited = self.wished.wait_timeout_while(state, patience, |state| state.commands.is_empty());
         waited.unwrap_or_else(PoisonError::into_inner).0.commands.pop_front()
     }
 
-    /// Takes a wish; one more than there is room for takes the place of the oldest.
+    /// Queues a command; a full queue drops the oldest.
     pub(crate) fn wish(&self, command: Command) {
         let mut state = self.state();
         if state.commands.len() == MAX_COMMANDS {
@@ -193,8 +193,7 @@ impl Display {
         self.wished.notify_all();
     }
 
-    /// What a browser has not seen that knows the first `frames` frames and `told` things; waits for it no longer than
-    /// `patience`.
+    /// Returns the news for a browser that has seen `frames` frames and `told` changes; waits for news for at most `patience`.
     pub(crate) fn look(&self, browser: &str, frames: u64, told: u64, patience: Duration) -> Result<Update, TooMany> {
         let mut state = self.state();
         state.browsers.retain(|_, asked| asked.elapsed() < LEFT);

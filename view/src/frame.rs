@@ -1,29 +1,28 @@
-//! A frame to be looked at, and the bytes in which it goes to a browser: a JSON text, and the depths of as many pixels as are
-//! wanted.
+//! A frame to show, and its encoding for a browser: a JSON text, and the depths of as many pixels as the browser wants.
 
 use crate::outline::{Segment, trace};
 use conicflow_messages::{Camera, Header, Object, ToJson, Track};
 use serde_json::{Value as Json, json};
 use std::sync::Arc;
 
-/// A browser is given no more pixels than this along a row, however many it asks for.
+/// Maximum number of pixels per row that a browser gets.
 const MAX_WIDTH: u32 = 1280;
-/// Of an outline's pixels as many decimal places are told: 1 / this.
+/// Outlines are rounded to 1 / this of a pixel.
 const PLACES: f64 = 10.0;
 
 /// A depth image.
 #[derive(Clone, Debug)]
 pub struct Depth {
-    /// Its header.
+    /// The header of the image.
     pub header: Header,
-    /// Its pixels, row by row.
+    /// The pixels, row by row.
     pub pixels: Vec<u16>,
 }
 
-/// What was found in a frame.
+/// The results of a frame.
 #[derive(Clone, Debug, Default)]
 pub enum List {
-    /// Nothing has looked for anything.
+    /// No stage has processed the frame.
     #[default]
     None,
     /// Objects.
@@ -33,7 +32,7 @@ pub enum List {
 }
 
 impl List {
-    /// The objects alone.
+    /// Returns the objects, also those of tracks.
     pub fn objects(&self) -> Vec<Object> {
         match self {
             Self::None => Vec::new(),
@@ -42,7 +41,7 @@ impl List {
         }
     }
 
-    /// What kind of items it has, and the items in JSON.
+    /// Returns the kind of the items, and the items in JSON.
     fn to_json(&self, camera: &Camera) -> (Option<&'static str>, Vec<Json>) {
         match self {
             Self::None => (None, Vec::new()),
@@ -54,45 +53,45 @@ impl List {
     }
 }
 
-/// What a second variant found in the same frame.
+/// The results of a second variant for the same frame.
 #[derive(Clone, Debug, Default)]
 pub struct Compared {
-    /// All of it.
+    /// All of its results.
     pub list: List,
-    /// What both have found.
+    /// The objects that both variants have found.
     pub pairs: Vec<Pair>,
 }
 
-/// The same thing as two variants have found it.
+/// An object that both variants have found.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pair {
-    /// Its number in the frame's own list.
+    /// Its index in the list of the first variant.
     pub own: usize,
-    /// Its number in the second list.
+    /// Its index in the list of the second variant.
     pub other: usize,
-    /// How far the second is from the first, in metres.
+    /// Distance between the two positions, in metres.
     pub position_m: f64,
     /// Radius of the second minus that of the first, in metres.
     pub radius_m: f64,
 }
 
-/// A frame to be looked at; either part may be missing.
+/// A frame to show; the depth image or the list may be missing.
 #[derive(Clone, Debug, Default)]
 pub struct Frame {
-    /// The header of the list, or else of the depth image.
+    /// The header of the list, or else that of the depth image.
     pub header: Header,
     /// The depth image.
     pub depth: Option<Arc<Depth>>,
-    /// What was found in it.
+    /// The results of the first or only variant.
     pub list: List,
-    /// What a second variant found in it, where two are compared.
+    /// The results of a second variant, if two are compared.
     pub compared: Option<Compared>,
-    /// From the moment the source had the frame until the list was there, if known.
+    /// Time from when the source had the frame until the list was there, in milliseconds, if known.
     pub latency_ms: Option<f64>,
 }
 
 impl Frame {
-    /// The frame in JSON; its depth image is told as one of which each `step`th pixel of each `step`th row is sent.
+    /// Returns the frame in JSON; the description of its image assumes that every `step`-th pixel of every `step`-th row is sent.
     pub(crate) fn to_json(&self, step: u32) -> Json {
         let header = &self.header;
         let (kind, mut items) = self.list.to_json(&header.camera);
@@ -120,13 +119,13 @@ impl Frame {
         })
     }
 
-    /// Every how many pixels one is sent to who asks for `columns` of them.
+    /// Returns the step between the pixels for a browser that wants `columns` of them per row.
     pub(crate) fn step(&self, columns: u32) -> u32 {
         let width = self.depth.as_ref().map_or(1, |depth| depth.header.camera.width);
         width.div_ceil(columns.clamp(1, MAX_WIDTH)).max(1)
     }
 
-    /// Appends each `step`th pixel of each `step`th row, the lower byte first.
+    /// Appends every `step`-th pixel of every `step`-th row, in little-endian order.
     pub(crate) fn write_pixels(&self, step: u32, bytes: &mut Vec<u8>) {
         let Some(depth) = &self.depth else { return };
         let (width, step) = (depth.header.camera.width as usize, step as usize);
@@ -137,7 +136,7 @@ impl Frame {
     }
 }
 
-/// Puts the items of a second variant behind those of the first; of what both have, each names the other by its number.
+/// Appends the items of a second variant to those of the first; the two items of a pair refer to each other by index.
 fn add_second_variant(items: &mut Vec<Json>, compared: &Compared, camera: &Camera) {
     let first = items.len();
     items.extend(compared.list.to_json(camera).1);
@@ -155,7 +154,7 @@ fn add_second_variant(items: &mut Vec<Json>, compared: &Compared, camera: &Camer
     }
 }
 
-/// An item as in the lines of JSON, with its outline in the image and the covariance of its centre.
+/// The JSON of an item, with its outline in the image and the covariance of its centre.
 fn item(told: impl serde::Serialize, object: &Object, camera: &Camera) -> Json {
     let mut json = serde_json::to_value(told).unwrap_or_default();
     let mut segments = Vec::new();
@@ -167,7 +166,7 @@ fn item(told: impl serde::Serialize, object: &Object, camera: &Camera) -> Json {
     json
 }
 
-/// Segments that follow each other joined to lines: u0, v0, u1, v1, ..
+/// Joins consecutive segments to polylines: u0, v0, u1, v1, ..
 fn lines<'a>(segments: impl Iterator<Item = &'a Segment>) -> Vec<Vec<f64>> {
     let place = |pixel: f64| (pixel * PLACES).round() / PLACES;
     let mut lines: Vec<Vec<f64>> = Vec::new();

@@ -1,4 +1,4 @@
-//! Brings together what belongs to one frame: its depth image comes first, and what was found in it some milliseconds later.
+//! Combines the parts of a frame: its depth image comes first, and its results some milliseconds later.
 
 use crate::frame::{Depth, Frame, List};
 use conicflow_messages::{Header, Text};
@@ -6,31 +6,31 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// Depth images wait for their lists as long as they have no more pixels than this together ...
+/// Depth images wait for their lists while they have at most this number of pixels together ...
 const MAX_PIXELS: usize = 1 << 25;
-/// ... and there are no more of them.
+/// ... and there are at most this number of images.
 const MAX_IMAGES: usize = 32;
-/// Where no list has come for so long, depth images are shown without, and the other way round.
+/// If no list has come for this time, depth images are shown without lists, and vice versa.
 const PAIRING_TIMEOUT: Duration = Duration::from_secs(2);
-/// Nobody sees more images than one in so long: others are not copied.
+/// Shortest mean interval of images, because nobody sees more: others are not copied.
 const SHORTEST_INTERVAL: Duration = Duration::from_millis(20);
-/// So many in a row may come sooner: each step of a run that is paused is to be seen.
+/// This many in a row may come sooner, so that each step of a paused run is shown.
 const BURST: u32 = 3;
 
-/// Brings depth images and lists of the same frame together.
+/// Combines depth images and lists of the same frame.
 #[derive(Debug)]
 pub struct Gatherer {
     depths: VecDeque<Arc<Depth>>,
     expects_lists: bool,
-    /// Since when images have waited without any list coming.
+    /// Since when images have waited without any list.
     waits_since: Option<Instant>,
     /// When the last image was taken.
     taken: Option<Instant>,
-    /// When the next one is due, were they taken at even intervals.
+    /// When the next image would be due at even intervals.
     due: Option<Instant>,
 }
 
-/// What a frame is told by: the stage that had it first, its start, its number.
+/// The identity of a frame: its first stage, the epoch, the sequence number.
 type Key = (Text<32>, u64, u64);
 
 fn key(header: &Header) -> Key {
@@ -38,12 +38,12 @@ fn key(header: &Header) -> Key {
 }
 
 impl Gatherer {
-    /// One that shows depth images at once, or with the lists that are made of them.
+    /// Creates a gatherer that shows depth images at once, or together with their lists.
     pub fn new(expects_lists: bool) -> Self {
         Self { depths: VecDeque::new(), expects_lists, waits_since: None, taken: None, due: None }
     }
 
-    /// Takes a depth image; a frame to be shown if it is to be shown without a list.
+    /// Takes a depth image; returns a frame if the image is to be shown without a list.
     pub fn depth(&mut self, header: &Header, pixels: &[u16], now: Instant) -> Option<Frame> {
         let due = self.due.map_or(now, |due| due.max(now));
         if due > now + SHORTEST_INTERVAL * BURST {
@@ -63,12 +63,12 @@ impl Gatherer {
         while self.depths.len() > MAX_IMAGES || (self.depths.len() > 1 && pixels(&self.depths) > MAX_PIXELS) {
             self.depths.pop_front();
         }
-        // Its list may come all the same, and the frame is shown once more then.
+        // Its list may still come; the frame is then shown again.
         let waited = self.waits_since.map_or(Duration::ZERO, |since| now.saturating_duration_since(since));
         (waited > PAIRING_TIMEOUT).then_some(alone)
     }
 
-    /// Takes what was found in a frame; the frame to be shown, unless its depth image was another camera's or has gone.
+    /// Takes the results of a frame; returns the frame to show, unless its depth image belongs to another camera or was dropped.
     pub fn list(&mut self, header: &Header, list: List, latency_ms: Option<f64>, now: Instant) -> Option<Frame> {
         let found = self.depths.iter().position(|depth| key(&depth.header) == key(header));
         let has_images = self.taken.is_some_and(|taken| now.saturating_duration_since(taken) < PAIRING_TIMEOUT);

@@ -1,12 +1,12 @@
-//! A page that shows in a browser what a camera sees and what was found in it: the depth image with outlines, the same in space,
-//! the list, the graph of stages.
+//! A web page that shows what a camera sees and what was found in it: the depth image with outlines, a 3D view, the list of
+//! objects or tracks, and the graph of stages.
 //!
-//! In the order in which a frame meets them: a [`Gatherer`] brings depth images and lists of the same frame together; a
-//! [`Display`] holds what is to be seen now; a [`Server`] hands it to browsers that ask for the [`Page`]. Nothing here knows
-//! where frames come from: a running pipeline, a recording and a sink feed the same display.
+//! In the order in which a frame passes: a [`Gatherer`] combines depth images and lists of the same frame; a [`Display`] holds
+//! the present state; a [`Server`] sends it to browsers that request the [`Page`]. Nothing here depends on where frames come
+//! from: a running pipeline, a recording and a sink use the same display.
 //!
-//! Browsers ask, and are answered with the newest there is. So nobody waits for a slow one, and where nobody asks nothing is
-//! done. The server serves other [`Answer`]s as well, such as a run's metrics.
+//! Browsers ask, and get the newest state. So nothing waits for a slow browser, and without browsers no work is done. The server
+//! also serves other [`Answer`]s, such as a run's metrics.
 
 mod access;
 mod browser;

@@ -1,32 +1,32 @@
 //! The outlines of spheres, cylinders and cones as a pinhole camera sees them.
 //!
-//! A point p of a surface with normal n belongs to the outline where the line of sight touches the surface: `n'p = 0`.
+//! A point p of a surface with normal n belongs to the outline where the line of sight is tangent to the surface: `n'p = 0`.
 //! - Sphere, centre c, radius R, d = |c|: a circle around `c (1 - R^2/d^2)` of radius `R sqrt(d^2 - R^2) / d`.
-//! - Cylinder and cone, `p = c + t a + (r + m t) u`, unit axis a, radial unit vector u, slope m: `n = u - m a`, hence
-//!   `u'c = m a'c - r`, two straight lines; with them go the circles at both ends.
+//! - Cylinder and cone, `p = c + t a + (r + m t) u`, unit axis a, radial unit vector u, slope m: `n = u - m a`, hence `u'c = m
+//!   a'c - r`: two straight lines, drawn together with the circles at both ends.
 
 use conicflow_messages::{Camera, Object, ObjectKind};
 use nalgebra::Vector3;
 use std::f64::consts::TAU;
 
 const CIRCLE_STEPS: u32 = 72;
-/// What is nearer to the camera than this is not drawn, in metres.
+/// Nearer parts are not drawn, in metres.
 const NEAREST_M: f64 = 0.02;
 
 type Point = Vector3<f64>;
 
-/// A piece of an outline in the image, from pixel to pixel.
+/// A segment of an outline in the image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Segment {
-    /// Where it begins, in pixels (u, v).
+    /// The start in pixels (u, v).
     pub from: [f64; 2],
-    /// Where it ends.
+    /// The end in pixels (u, v).
     pub to: [f64; 2],
-    /// Whether it lies on the far side of the object.
+    /// Whether the segment lies on the far side of the object.
     pub hidden: bool,
 }
 
-/// The outline of an object; `segments` is cleared first.
+/// Writes the outline of an object to `segments`, which is cleared first.
 pub fn trace(object: &Object, camera: &Camera, segments: &mut Vec<Segment>) {
     segments.clear();
     let mut tracer = Tracer { camera, segments };
@@ -37,16 +37,16 @@ pub fn trace(object: &Object, camera: &Camera, segments: &mut Vec<Segment>) {
     }
 }
 
-/// A pixel of the point, if it lies in front of the camera.
+/// Projects a point to a pixel, if it lies in front of the camera.
 pub fn project(camera: &Camera, point: &Point) -> Option<[f64; 2]> {
     let [x, y, z] = [point.x, point.y, point.z];
     (z > NEAREST_M).then(|| [camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
 }
 
-/// A cylinder or the stump of a cone.
+/// A cylinder or a frustum of a cone.
 struct Frustum {
     axis: Point,
-    /// Centres and radii of its ends, along the axis.
+    /// The centres and radii of its ends, along the axis.
     ends: [(Point, f64); 2],
     /// Growth of the radius along the axis.
     slope: f64,
@@ -60,7 +60,7 @@ impl Frustum {
         Self { axis, ends: [(center - half, start_radius), (center + half, end_radius)], slope }
     }
 
-    /// Directions across the axis: towards the camera, and beside it.
+    /// Two directions perpendicular to the axis: towards the camera, and sideways.
     fn across(&self) -> (Point, Point) {
         let center = self.ends[0].0;
         let toward = -(center - self.axis * self.axis.dot(&center));
@@ -68,7 +68,7 @@ impl Frustum {
         (toward, self.axis.cross(&toward))
     }
 
-    /// Radial directions of the two lines of the outline; `None` for one who looks along the axis.
+    /// The radial directions of the two lines of the outline; `None` if the camera looks along the axis.
     fn limbs(&self) -> Option<[Point; 2]> {
         let (center, radius) = self.ends[0];
         let (toward, beside) = self.across();
@@ -96,7 +96,7 @@ impl Tracer<'_> {
         }
     }
 
-    /// A circle; `hidden` tells for a radial direction and a point whether the point cannot be seen.
+    /// Draws a circle; `hidden` says for a radial direction and a point whether the point is hidden.
     fn circle(
         &mut self,
         center: Point,
@@ -154,7 +154,7 @@ mod tests {
         segments
     }
 
-    /// Smallest and largest pixel along an axis.
+    /// The smallest and the largest pixel along an axis.
     fn extent(segments: &[Segment], axis: usize) -> (f64, f64) {
         let pixels = segments.iter().flat_map(|segment| [segment.from[axis], segment.to[axis]]);
         pixels.fold((f64::MAX, f64::MIN), |(low, high), pixel| (low.min(pixel), high.max(pixel)))

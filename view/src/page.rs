@@ -1,11 +1,11 @@
-//! The files of the page, which are part of the program: no file is read for a browser, and no network is needed.
+//! The files of the page. They are part of the program: a browser needs no files and no network.
 
-/// A file of the page: its path, what it is, what it holds.
+/// A file of the page: its path, its type, its content.
 type File = (&'static str, &'static str, &'static [u8]);
 
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
-/// All there are.
+/// All files.
 const FILES: &[File] = &[
     ("/", "text/html; charset=utf-8", include_bytes!("../page/index.html")),
     ("/style.css", "text/css; charset=utf-8", include_bytes!("../page/style.css")),
@@ -27,7 +27,7 @@ const FILES: &[File] = &[
     ("/three/LICENSE", "text/plain; charset=utf-8", include_bytes!("../page/three/LICENSE")),
 ];
 
-/// The file at a path: what it is and what it holds.
+/// Returns the type and the content of the file at a path.
 pub(crate) fn file(path: &str) -> Option<(&'static str, &'static [u8])> {
     FILES.iter().find(|(known, ..)| *known == path).map(|(_, kind, content)| (*kind, *content))
 }
@@ -36,7 +36,7 @@ pub(crate) fn file(path: &str) -> Option<(&'static str, &'static [u8])> {
 mod tests {
     use super::*;
 
-    /// Every file that a page or script names is there, and nothing is named that lies elsewhere.
+    /// All files that pages or scripts refer to exist, and none refers to another host.
     #[test]
     fn the_page_needs_nothing_else() {
         for (path, kind, content) in FILES.iter().filter(|(path, ..)| !path.starts_with("/three/")) {

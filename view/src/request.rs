@@ -1,28 +1,28 @@
-//! Requests: read from a connection within a time and a size, and taken apart by `httparse`.
+//! Requests: read from a connection with limits of time and size, and parsed by `httparse`.
 
 use std::io::{self, ErrorKind, Read};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
-/// A request without its body is no longer than this, in bytes.
+/// Maximum length of a request without its body, in bytes.
 const LONGEST_HEAD: usize = 8 * 1024;
-/// A body is no longer than this, in bytes: it holds one wish.
+/// Maximum length of a body, in bytes: it holds one command.
 const LONGEST_BODY: usize = 1024;
-/// A request has no more headers than this.
+/// Maximum number of headers.
 const MOST_HEADERS: usize = 48;
-/// A connection on which nothing is asked for so long is closed.
+/// An idle connection is closed after this time.
 const IDLE: Duration = Duration::from_secs(20);
-/// A request that has begun is there as a whole after this time.
+/// A request has to be complete after this time.
 const WHOLE: Duration = Duration::from_secs(4);
-/// Headers that are there once at most: who stands in between might read another of them.
+/// Headers that may occur only once: a proxy might read another of several.
 const ONCE: [&str; 3] = ["host", "content-length", "origin"];
 
 /// A request.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Request {
-    /// What is to be done, such as `GET`; what is asked for with `HEAD` is answered as with that, without the body.
+    /// The method, such as `GET`; `HEAD` is handled like `GET`, without the body.
     pub method: String,
-    /// Where it goes, up to the question mark.
+    /// The path, up to the question mark.
     pub path: String,
     query: String,
     headers: Vec<(String, String)>,
@@ -33,14 +33,14 @@ pub struct Request {
 /// Why there is no request.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum NoRequest {
-    /// The connection is over.
+    /// The connection has ended.
     Over,
-    /// What came is answered with this status and text, and the connection ends.
+    /// The input is answered with this status and text, and the connection is closed.
     Bad(u16, &'static str),
 }
 
 impl Request {
-    /// A request without its body, and its length in bytes; none where it is not there as a whole.
+    /// Parses a request without its body; returns it with its length in bytes, or `None` if it is incomplete.
     pub(crate) fn parse(bytes: &[u8]) -> Result<Option<(Self, usize)>, NoRequest> {
         let mut headers = [httparse::EMPTY_HEADER; MOST_HEADERS];
         let mut parsed = httparse::Request::new(&mut headers);
@@ -65,7 +65,7 @@ impl Request {
         Ok(Some((request, length)))
     }
 
-    /// Reads the next request of a connection; `rest` holds what came after the one before.
+    /// Reads the next request of a connection; `rest` holds the bytes that came after the one before.
     pub(crate) fn read(stream: &mut TcpStream, rest: &mut Vec<u8>) -> Result<Self, NoRequest> {
         let mut deadline = Instant::now() + if rest.is_empty() { IDLE } else { WHOLE };
         let (mut request, length) = loop {
@@ -102,12 +102,12 @@ impl Request {
         }
     }
 
-    /// The value of a header, whose name is in small letters.
+    /// Returns the value of a header; `name` is in lower case.
     pub(crate) fn header(&self, name: &str) -> Option<&str> {
         self.headers.iter().find(|(known, _)| known == name).map(|(_, value)| value.as_str())
     }
 
-    /// A value of the query.
+    /// Returns a value of the query.
     pub(crate) fn query(&self, name: &str) -> Option<&str> {
         self.query
             .split('&')
@@ -116,12 +116,12 @@ impl Request {
             .map(|(_, value)| value)
     }
 
-    /// A number of the query; 0 where there is none.
+    /// Returns a number of the query, or 0 if there is none.
     pub(crate) fn number(&self, name: &str) -> u64 {
         self.query(name).and_then(|value| value.parse().ok()).unwrap_or(0)
     }
 
-    /// Whether it asks for something, and wants no change.
+    /// Whether it only reads, and changes nothing.
     pub(crate) fn is_get(&self) -> bool {
         self.method == "GET"
     }
@@ -132,7 +132,7 @@ impl Request {
     }
 }
 
-/// Appends what comes until the deadline.
+/// Reads once before the deadline and appends the bytes.
 fn read_more(stream: &mut TcpStream, bytes: &mut Vec<u8>, deadline: Instant) -> Result<(), NoRequest> {
     let left = deadline.saturating_duration_since(Instant::now());
     let late = if bytes.is_empty() { NoRequest::Over } else { NoRequest::Bad(408, "the request took too long") };

@@ -1,4 +1,4 @@
-//! What a request is answered: written to its connection within a time, or the connection is given up.
+//! Responses: written to their connection with a time limit, after which the connection is given up.
 
 use std::borrow::Cow;
 use std::fmt::Write as _;
@@ -6,10 +6,10 @@ use std::io::{self, ErrorKind, Write};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
-/// A browser that has not taken an answer by then has stopped reading.
+/// A browser that has not received a response after this time has stopped reading.
 const TAKEN: Duration = Duration::from_secs(8);
 
-/// Sent with every answer: nothing from elsewhere runs in the page, nobody puts it into a page of theirs, and nothing is kept.
+/// Sent with every response: the page runs no foreign scripts, cannot be embedded in other pages, and is not cached.
 const HEADERS: &str = "Cache-Control: no-store\r\n\
     Content-Security-Policy: default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' data:; \
     frame-ancestors 'none'; base-uri 'none'; form-action 'none'\r\n\
@@ -18,7 +18,7 @@ const HEADERS: &str = "Cache-Control: no-store\r\n\
     X-Content-Type-Options: nosniff\r\n\
     X-Frame-Options: DENY\r\n";
 
-/// An answer.
+/// A response.
 #[derive(Debug)]
 pub struct Response {
     pub(crate) status: u16,
@@ -29,7 +29,7 @@ pub struct Response {
 }
 
 impl Response {
-    /// An answer with this status and a body of this kind.
+    /// A response with this status and a body of this type.
     pub fn new(status: u16, kind: &'static str, body: impl Into<Cow<'static, [u8]>>) -> Self {
         Self { status, kind, headers: Vec::new(), body: body.into(), is_head: false }
     }
@@ -39,44 +39,44 @@ impl Response {
         Self::new(200, kind, content)
     }
 
-    /// Why there is no better answer, in a line.
+    /// A refusal with a line of text.
     pub fn refusal(status: u16, text: &str) -> Self {
         Self::new(status, "text/plain; charset=utf-8", format!("{text}\n").into_bytes())
     }
 
-    /// Too many ask; it may be tried again.
+    /// A refusal because of too many requests, which may be retried.
     pub(crate) fn busy(text: &str) -> Self {
         Self::refusal(503, text).with_header("Retry-After", "2".to_owned())
     }
 
-    /// What was asked for is at another path.
+    /// A redirection to another path.
     pub(crate) fn moved(path: &'static str) -> Self {
         Self::refusal(303, "go on to the page").with_header("Location", path.to_owned())
     }
 
-    /// The same with a header more.
+    /// Adds a header.
     pub(crate) fn with_header(mut self, name: &'static str, value: String) -> Self {
         self.headers.push((name, value));
         self
     }
 
-    /// The same for who asks for its head alone, which tells the length that the body has.
+    /// Drops the body, for a request with `HEAD`; the headers still give its length.
     pub(crate) fn without_body(mut self) -> Self {
         self.is_head = true;
         self
     }
 
-    /// Writes it, unless the browser does not take it in time.
+    /// Writes the response, unless the browser does not receive it in time.
     pub(crate) fn write(&self, stream: &mut TcpStream, is_last: bool) -> io::Result<()> {
         let connection = if is_last { "close" } else { "keep-alive" };
         let (status, kind, length) = (self.status, self.kind, self.body.len());
-        // The words behind the status mean nothing, and need not be there (RFC 9112, section 4).
+        // The reason phrase after the status is optional (RFC 9112, section 4).
         let mut head = format!(
             "HTTP/1.1 {status} \r\nContent-Type: {kind}\r\nContent-Length: {length}\r\nConnection: {connection}\r\n\
              {HEADERS}"
         );
         for (name, value) in &self.headers {
-            // A text grows without fail.
+            // Writing to a string cannot fail.
             write!(head, "{name}: {value}\r\n").ok();
         }
         head.push_str("\r\n");
@@ -86,7 +86,7 @@ impl Response {
     }
 }
 
-/// Writes all until the deadline, however little is taken at a time.
+/// Writes all bytes before the deadline, however few are accepted at a time.
 fn write_all(stream: &mut TcpStream, mut bytes: &[u8], deadline: Instant) -> io::Result<()> {
     while !bytes.is_empty() {
         let left = deadline.saturating_duration_since(Instant::now());

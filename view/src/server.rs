@@ -1,5 +1,5 @@
-//! A small server of HTTP: a thread for each connection, which waits for a request, has it answered, and ends with it. Nobody
-//! who is slow, or asks too much, holds up another, or the program that the server is part of.
+//! A small HTTP server with one thread per connection, which reads requests, has them answered, and ends with the connection. A
+//! client that is slow or asks too much delays neither other clients nor the program that contains the server.
 
 use crate::access::{Access, Listen};
 use crate::request::{NoRequest, Request};
@@ -12,40 +12,39 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
-/// No more connections than this; a browser has up to six.
+/// Maximum number of connections; a browser has up to six.
 const MAX_CONNECTIONS: usize = 72;
-/// The server is there for itself at once, or is gone.
+/// The server itself answers at once, or has ended.
 const CONNECT_TIMEOUT: Duration = Duration::from_millis(1000);
-/// What a thread of a connection needs.
+/// Stack size of a connection's thread.
 const STACK_BYTES: usize = 256 * 1024;
-/// How far who shows gives way to those at work.
+/// The niceness of threads that only display.
 const NICENESS: i32 = 10;
 
-/// Lets those at work go before this thread, and those that it starts, where processors are short. Where that is not allowed
-/// nothing else is lost.
+/// Lowers the priority of this thread, and of those that it starts, in favour of stages. Has no effect if that is not allowed.
 pub fn give_way() {
-    // On Linux each thread has a niceness of its own.
+    // On Linux each thread has its own niceness.
     rustix::process::nice(NICENESS).ok();
 }
 
-/// What answers requests; those that may not be answered do not come here.
+/// Answers requests that have passed the access control.
 pub trait Answer: Send + Sync + 'static {
-    /// The answer to a request.
+    /// Answers a request.
     fn answer(&self, request: &Request) -> Response;
 }
 
-/// Why there is no server.
+/// Why the server cannot start.
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
-    /// The address cannot be listened at.
+    /// It cannot listen at the address.
     #[error(transparent)]
     Address(Hinted),
-    /// No thread can be started.
+    /// Its thread cannot be started.
     #[error("the server's thread cannot be started: {0}")]
     Thread(io::Error),
 }
 
-/// A server that is there until this is dropped.
+/// A server that runs until it is dropped.
 #[derive(Debug)]
 pub struct Server {
     address: SocketAddr,
@@ -53,14 +52,14 @@ pub struct Server {
     ends: Arc<AtomicBool>,
 }
 
-/// What the threads of connections share, each of which holds it as long as it lasts.
+/// The state that the threads of connections share; each holds a reference while it runs.
 struct Shared {
     answer: Box<dyn Answer>,
     access: Access,
 }
 
 impl Server {
-    /// Answers what is asked at an address.
+    /// Starts a server at an address.
     ///
     /// # Errors
     /// The address is taken, or not this machine's.
@@ -80,7 +79,7 @@ impl Server {
         Ok(Self { address, url: url(address, listen.token.as_deref()), ends })
     }
 
-    /// Where the page is, with the token that is asked for there.
+    /// The URL of the page, with its token if there is one.
     pub fn url(&self) -> &str {
         &self.url
     }
@@ -89,7 +88,7 @@ impl Server {
 impl Drop for Server {
     fn drop(&mut self) {
         self.ends.store(true, Ordering::Relaxed);
-        // The thread waits for a connection; this is one.
+        // Connects once, because the thread waits for a connection.
         let own = match self.address.ip() {
             ip if ip.is_unspecified() => SocketAddr::from((Ipv4Addr::LOCALHOST, self.address.port())),
             _ => self.address,
@@ -108,14 +107,15 @@ fn address_fault(address: SocketAddr, error: &io::Error) -> Hinted {
     Hinted::new(format!("nothing can be offered at {address}: {error}"), hint)
 }
 
-/// The address to open in a browser. Of a machine that listens at all its addresses, the one by which it reaches others.
+/// The URL to open in a browser. If the server listens at all addresses of the machine, the URL has the one that reaches the
+/// network.
 fn url(address: SocketAddr, token: Option<&str>) -> String {
     let ip = if address.ip().is_unspecified() { reachable(address.ip()) } else { address.ip() };
     let token = token.map(|token| format!("?token={token}")).unwrap_or_default();
     format!("http://{}/{token}", SocketAddr::from((ip, address.port())))
 }
 
-/// The address from which this machine would send to the network: asking for the way sends nothing.
+/// Returns the address from which this machine would send to the network. Connecting a UDP socket sends nothing.
 fn reachable(unspecified: IpAddr) -> IpAddr {
     const DOCUMENTATION: (Ipv4Addr, u16) = (Ipv4Addr::new(192, 0, 2, 1), 9);
     let way = || {
@@ -134,30 +134,30 @@ fn accept(listener: &TcpListener, shared: &Arc<Shared>, ends: &AtomicBool) {
         }
         match stream {
             Ok(stream) => begin(stream, shared),
-            // Out of file descriptors, or a browser that left at once.
+            // There are no more file descriptors, or a browser left at once.
             Err(_) => thread::sleep(Duration::from_millis(20)),
         }
     }
 }
 
-/// Starts the thread of a connection, unless there are enough.
+/// Starts the thread of a connection, unless there are too many.
 fn begin(mut stream: TcpStream, shared: &Arc<Shared>) {
     stream.set_nodelay(true).ok();
-    // One more holds it: the thread that accepts connections.
+    // The accepting thread holds one more reference.
     if Arc::strong_count(shared) > MAX_CONNECTIONS {
         let text = format!("{MAX_CONNECTIONS} connections are open already: close a page, or try again");
-        // It goes into the socket's buffer, which is empty: nobody is waited for.
+        // The socket's buffer is empty, so this does not block.
         Response::busy(&text).write(&mut stream, true).ok();
         stream.shutdown(Shutdown::Write).ok();
         return;
     }
     let shared = Arc::clone(shared);
     let connection = thread::Builder::new().name("connection".to_owned()).stack_size(STACK_BYTES);
-    // Where no thread can be started the connection is closed.
+    // If no thread can be started, the connection is closed.
     connection.spawn(move || serve(stream, &shared)).ok();
 }
 
-/// Answers the requests of a connection until it is over.
+/// Answers the requests of a connection until it ends.
 fn serve(mut stream: TcpStream, shared: &Shared) {
     let mut rest = Vec::new();
     loop {

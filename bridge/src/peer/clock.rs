@@ -2,16 +2,16 @@
 
 use std::collections::VecDeque;
 
-/// For how many seconds exchanges are remembered: a queue on the link, which delays one direction, is rarely there for longer.
+/// How many seconds exchanges are remembered: a queue on the link, which delays one direction, rarely lasts longer.
 const SECONDS: u64 = 32;
-/// What clocks drift apart by in that time at most, in nanoseconds.
+/// The largest drift between two clocks in that time, in nanoseconds.
 const DRIFT_NS: i64 = 10_000_000;
 
 /// The difference between two machines' clocks, from exchanges of heartbeats.
 ///
-/// As NTP does: with t1, t4 the own times of sending and receiving and t2, t3 the peer's, the offset is
-/// `((t2 - t1) + (t3 - t4)) / 2`, wrong by half the round trip's asymmetry at most; of the last seconds' exchanges the one
-/// with the shortest round trip counts.
+/// The method is that of NTP: with t1, t4 the own times of sending and receiving and t2, t3 those of the peer, the offset is
+/// `((t2 - t1) + (t3 - t4)) / 2`. Its error is at most half the asymmetry of the round trip. Among the exchanges of the last
+/// seconds, the one with the shortest round trip counts.
 #[derive(Debug, Default)]
 pub(crate) struct Clock {
     /// The second, and its best exchange.
@@ -23,12 +23,12 @@ pub(crate) struct Clock {
 pub(crate) struct Exchange {
     /// Time on the way, there and back, in nanoseconds.
     pub round_trip_ns: i64,
-    /// The peer's clock less the own one, in nanoseconds.
+    /// The peer's clock minus the own clock, in nanoseconds.
     pub offset_ns: i64,
 }
 
 impl Clock {
-    /// Adds an exchange; times that cannot be are left out.
+    /// Adds an exchange; impossible times are ignored.
     pub(crate) fn add(&mut self, [t1, t2, t3, t4]: [u64; 4]) {
         let second = t4 / 1_000_000_000;
         let [t1, t2, t3, t4] = [t1, t2, t3, t4].map(i128::from);
@@ -47,7 +47,7 @@ impl Clock {
         }
     }
 
-    /// Forgets everything: the peer may be another machine now, or one of the two was suspended.
+    /// Forgets all exchanges: the peer may be another machine now, or one of the two was suspended.
     pub(crate) fn clear(&mut self) {
         self.best.clear();
     }
@@ -59,7 +59,7 @@ impl Clock {
 }
 
 impl Exchange {
-    /// Whether no offset between two clocks that run can explain both.
+    /// Whether no offset between two running clocks explains both exchanges.
     fn contradicts(&self, other: &Self) -> bool {
         let apart = self.offset_ns.abs_diff(other.offset_ns);
         let explained = (self.round_trip_ns / 2).saturating_add(other.round_trip_ns / 2).saturating_add(DRIFT_NS);
@@ -93,14 +93,14 @@ mod tests {
     fn a_clock_that_stood_still_is_compared_anew() {
         let mut clock = Clock::default();
         clock.add([100, 1110, 1150, 160]);
-        // The own clock stood still for a minute; the first exchange after that is a slow one.
+        // The own clock stood still for a minute; the first exchange after that is slow.
         let minute = 60_000_000_000;
         clock.add([200, minute + 1210, minute + 1250, 5_000_550]);
         let offset = clock.best().unwrap().offset_ns;
         assert!((offset - minute as i64).abs() < 3_000_000, "{offset}");
     }
 
-    /// One offset may differ by half of each round trip, 10 and 50 ms, and by 10 ms of drift.
+    /// An offset may differ by half of each round trip (10 and 50 ms) and by 10 ms of drift.
     #[test]
     fn clocks_are_compared_anew_where_no_one_offset_explains_two_exchanges() {
         const MS: i64 = 1_000_000;

@@ -1,4 +1,4 @@
-//! What is counted of an edge while it carries messages.
+//! The counters of an edge.
 
 use conicflow_dataflow::relay::ThrottledWarning;
 use conicflow_dataflow::{EdgeReport, InputCounts, lock};
@@ -15,18 +15,18 @@ pub(crate) struct EdgeCounts {
     pub lost: AtomicU64,
     pub resent: AtomicU64,
     pub stale: AtomicU64,
-    /// Not sent, where the newest wins, because nobody was there who wanted them.
+    /// Messages not sent because no machine wanted them, with `latest`.
     pub unwanted: AtomicU64,
-    /// Left out, because they make no sense, by what encodes or decodes them.
+    /// Malformed messages, dropped when encoding or decoding.
     pub malformed: AtomicU64,
-    /// Those of them that count as lost where none may be missed: true messages, and not what somebody else put in.
+    /// Malformed messages that count as lost on a lossless edge: genuine ones, not those that a third party has sent.
     pub refused: AtomicU64,
     pub age_ns: AtomicU64,
     input: Mutex<InputCounts>,
 }
 
 impl EdgeCounts {
-    /// Counts that go on where an earlier bridge of the run left them, as far as it told, also in its record.
+    /// Returns counters that continue from the report and the record of an earlier bridge process of the run.
     pub(crate) fn after(earlier: &EdgeReport, input: InputCounts) -> Self {
         let &EdgeReport { messages, wire_bytes, memory_bytes, lost, resent, stale, malformed, refused, .. } = earlier;
         Self {
@@ -38,13 +38,13 @@ impl EdgeCounts {
             stale: stale.into(),
             malformed: malformed.into(),
             refused: refused.into(),
-            // The report tells of these with the others.
+            // The report's `malformed` includes these.
             input: InputCounts { malformed: 0, ..input }.into(),
             ..Self::default()
         }
     }
 
-    /// What is counted of messages that leave as they come out of shared memory.
+    /// The counters of the reader in shared memory, for an outgoing edge.
     pub(crate) fn input(&self) -> MutexGuard<'_, InputCounts> {
         lock(&self.input)
     }
@@ -53,7 +53,7 @@ impl EdgeCounts {
         counter.fetch_add(count, Ordering::Relaxed);
     }
 
-    /// The counts now; rates are those since an earlier report, `seconds` ago.
+    /// Returns the present counts, with rates since an earlier report, `seconds` ago.
     pub(crate) fn report(&self, topic: &str, direction: &str, earlier: &EdgeReport, seconds: f64) -> EdgeReport {
         let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         let (messages, wire_bytes) = (count(&self.messages), count(&self.wire_bytes));
@@ -77,7 +77,7 @@ impl EdgeCounts {
     }
 }
 
-/// What of an edge is not passed on because it makes no sense: counted, and told now and then.
+/// Counts the malformed messages of an edge, and logs them now and then.
 pub(crate) struct LeftOut {
     counts: Arc<EdgeCounts>,
     warning: Mutex<ThrottledWarning>,
@@ -88,13 +88,13 @@ impl LeftOut {
         Self { counts, warning: Mutex::default() }
     }
 
-    /// Counts a message that will not be had in any other way, and tells what is wrong with it.
+    /// Counts a malformed message that is lost, and logs what is wrong with it.
     pub(crate) fn lose(&self, what: Arguments<'_>) {
         EdgeCounts::add(&self.counts.refused, 1);
         self.add(what);
     }
 
-    /// Counts a message, and tells what is wrong with it.
+    /// Counts a malformed message, and logs what is wrong with it.
     pub(crate) fn add(&self, what: Arguments<'_>) {
         EdgeCounts::add(&self.counts.malformed, 1);
         lock(&self.warning).warn(what);

@@ -1,43 +1,43 @@
-//! The small message by which bridges tell each other that they live, what they have received, and what time it is there.
+//! The heartbeat between bridges: shows that the sender is alive, acknowledges messages, and carries the sender's time.
 
 use super::journal::FinishedEdge;
 use serde::{Deserialize, Serialize};
 
-/// What a bridge puts under its link key a few times per second.
+/// The message that a bridge puts under its link key a few times per second.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Heartbeat {
-    /// One number per start of the bridge.
+    /// Number of this start of the bridge.
     pub session: u64,
-    /// The run of its machine.
+    /// The run of the sending machine.
     pub run: u64,
-    /// Its clock when this was sent.
+    /// The sender's clock when this was sent.
     pub sent_ns: u64,
-    /// How its messages are laid out.
+    /// The layouts of the sender's messages.
     pub layouts: String,
-    /// What crosses, by its pipeline file.
+    /// The routes between machines in the sender's pipeline file.
     pub routes: Vec<Route>,
-    /// The last heartbeats of each peer, of which a peer knows that this one was made after it had sent them.
+    /// The last heartbeats from each peer. They prove to that peer that this heartbeat is newer than its own.
     pub samples: Vec<ClockSample>,
-    /// What has come and what is finished, as far as it is known there.
+    /// The acknowledgements and finished edges that the sender knows.
     pub news: News,
 }
 
-/// What a bridge has to tell about its edges.
+/// The news of a bridge about its edges.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct News {
-    /// What it has received, per edge.
+    /// The acknowledgements of what it has received, one per edge.
     pub acks: Vec<Ack>,
-    /// What it knows to be finished. The machine that receives an edge tells so first; when the other one tells it as well, both
-    /// know, and neither is needed any more.
+    /// The edges that it knows to be finished. The receiving machine reports an edge first; once the sending machine reports it
+    /// as well, both know, and neither has to stay for the other.
     pub finished: Vec<FinishedEdge>,
 }
 
-/// What one machine is to send to another.
+/// A topic that one machine sends to another.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Route {
     pub from: String,
     pub to: String,
-    /// The topic, what it carries, who writes it, and whether any of it may be missed.
+    /// The topic, its item type, its writers and its delivery.
     pub what: String,
 }
 
@@ -47,7 +47,7 @@ impl Route {
     }
 }
 
-/// When a peer's last heartbeat was sent, by that peer's clock, and when it came, by the sender's.
+/// When a peer's last heartbeat was sent, by that peer's clock, and received, by the clock of the machine that reports it.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct ClockSample {
     pub machine: String,
@@ -56,7 +56,7 @@ pub(crate) struct ClockSample {
     pub received_ns: u64,
 }
 
-/// How far an edge was received.
+/// The acknowledgement of an edge.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Ack {
     /// The machine that sends it.
@@ -66,8 +66,7 @@ pub(crate) struct Ack {
     pub stream: u64,
     /// Number of the message that is expected next.
     pub next: u64,
-    /// Number of the first message that may be needed again: what comes before it, the readers that must not miss any have
-    /// finished.
+    /// Number of the first message that may be needed again: the lossless readers have finished all earlier ones.
     pub finished: u64,
     /// The writers whose streams have ended.
     pub ended: Vec<String>,

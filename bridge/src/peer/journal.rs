@@ -1,11 +1,11 @@
-//! What a bridge tells the process that takes its place, should it be killed: a file in the run's folder.
+//! The notes of a bridge for the process that replaces it if it is killed: a file in the run's folder.
 
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 
-/// An edge of which nothing more is wanted: the stages that read it on the receiving machine have heard its end.
+/// An edge that is finished: the stages that read it on the receiving machine have heard its end, and nothing more is wanted.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub(crate) struct FinishedEdge {
     /// The machine that sends it.
@@ -17,23 +17,23 @@ pub(crate) struct FinishedEdge {
     pub run: u64,
 }
 
-/// The end of a writer's stream, as it was acknowledged: the machine that sends it may have left since.
+/// The acknowledged end of a writer's stream. The sending machine may have left since.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 struct HeardEnd {
     from: String,
     topic: String,
     writer: String,
-    /// How many messages the writer sent.
+    /// The number of messages that the writer sent.
     count: u64,
 }
 
-/// What is known of this run.
+/// The content of the journal.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 struct Entries {
     run: u64,
     session: u64,
     heard: BTreeSet<String>,
-    /// With the run of the receiving machine that wants nothing more of it; the next one may.
+    /// Finished edges, each with the run of the receiving machine that wants nothing more; its next run may.
     finished: BTreeSet<(FinishedEdge, u64)>,
     ends: BTreeSet<HeardEnd>,
 }
@@ -46,8 +46,9 @@ pub(crate) struct Journal {
 }
 
 impl Journal {
-    /// The journal of this run, with what earlier processes have left in that folder; in memory alone where nobody can come after
-    /// this one. A session begins now: its number is greater than all before it, although a clock may have been set back.
+    /// Opens the journal of this run, with the notes of earlier processes in that folder. Without a folder it is kept in memory
+    /// only, for a process that nobody replaces. A new session begins; its number is greater than all before, even if the clock
+    /// was set back.
     pub(crate) fn open(folder: Option<&Path>, run: u64, now: u64) -> Self {
         let path = folder.map(|folder| folder.join("bridge.journal"));
         let left = path.as_ref().and_then(|path| serde_json::from_slice::<Entries>(&fs::read(path).ok()?).ok());
@@ -58,7 +59,7 @@ impl Journal {
         journal
     }
 
-    /// The run that it is of.
+    /// The run that the journal belongs to.
     pub(crate) fn run(&self) -> u64 {
         self.entries.run
     }
@@ -79,7 +80,7 @@ impl Journal {
         }
     }
 
-    /// The edges that are finished, each with the run of the receiving machine that wants nothing more of it.
+    /// The finished edges, each with the run of the receiving machine that wants nothing more of it.
     pub(crate) fn finished(&self) -> impl Iterator<Item = (&FinishedEdge, u64)> {
         self.entries.finished.iter().map(|(edge, by)| (edge, *by))
     }
@@ -96,7 +97,7 @@ impl Journal {
         }
     }
 
-    /// Which writers of an edge to here have ended, each with how many messages it sent.
+    /// The writers of an edge to here that have ended, with the number of messages of each.
     pub(crate) fn ends(&self, from: &str, topic: &str) -> BTreeMap<String, u64> {
         let of_edge = self.entries.ends.iter().filter(|end| end.from == from && end.topic == topic);
         of_edge.map(|end| (end.writer.clone(), end.count)).collect()
@@ -109,7 +110,7 @@ impl Journal {
         }
     }
 
-    /// Without the file this process goes on as well; only the next one would not know.
+    /// Writes the file. If that fails, this process goes on, but the next one will lack the notes.
     fn write(&mut self) {
         let Some(path) = &self.path else { return };
         let draft = path.with_extension("journal.new");

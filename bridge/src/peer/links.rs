@@ -1,12 +1,12 @@
-//! What one bridge knows of the others: who lives, what they have received, how their clocks differ.
+//! The state of a bridge's peers: which are alive, what they have received, and how their clocks differ.
 //!
-//! A start of a bridge is a session. Whoever listens to a link can repeat what was said there, also what an earlier session of a
-//! bridge has said. So a session is believed only when it has proved to be the present one: by a heartbeat that tells of a
-//! heartbeat of this bridge's own session, sent later than any that the session before has told of. Heartbeats of a session
-//! follow each other in time, and messages count only if they are of the session that has proved itself.
+//! Each start of a bridge is a session. Anybody who listens to a link can replay what was sent there, including the messages of
+//! an earlier session. So a session is believed only after it has proved to be the present one: one of its heartbeats has to
+//! report a heartbeat of this bridge's own session that was sent later than any that the session before has reported. Heartbeats
+//! of a session are ordered in time, and messages count only if they belong to the session that has proved itself.
 //!
-//! A machine runs once. Where two runs of one name are there at a time, the one counts that was heard first, until it falls
-//! silent: else each would stop what the other one has begun. Each of them learns of the other by what is heard of both.
+//! Each machine runs once. If two runs use one name at the same time, the one that was heard first counts until it falls silent;
+//! otherwise each would stop what the other has begun. Both runs learn of the conflict, because their peer hears both.
 
 use super::clock::{Clock, Exchange};
 use super::heartbeat::{Ack, ClockSample, Heartbeat, News, Route};
@@ -21,20 +21,20 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// A peer of which nothing was heard for so long is not connected.
+/// A peer that was not heard for this time is disconnected.
 const DISCONNECTED_AFTER: Duration = Duration::from_millis(1500);
-/// Of a peer that has not come after this time the user is told.
+/// A peer that has not come after this time is reported to the user.
 const REPORT_MISSING_AFTER: Duration = Duration::from_secs(5);
 
-/// So many sessions of a peer are told of: the present one, one that is about to prove itself, and as many again of which
-/// somebody repeats what they said. Those give way to one another, so that a new session proves itself all the same.
+/// A heartbeat reports this many sessions of a peer: the present one, one that is about to prove itself, and two more that
+/// a third party may replay. Replayed sessions displace one another, so a new session can still prove itself.
 const SESSIONS: usize = 4;
 
-/// What is said of a message of a session that has been.
+/// The reason why a message of an earlier session is refused.
 pub(crate) const OF_EARLIER_START: &str = "it is of an earlier start of the bridge there\n  \
                                            hint: it has come very late, or somebody repeats what was sent before";
 
-/// The other machines, as the threads of a bridge share them.
+/// The state of all peers, shared by the threads of a bridge.
 pub(crate) struct Links {
     machine: String,
     session: u64,
@@ -45,7 +45,7 @@ pub(crate) struct Links {
     acks: Mutex<BTreeMap<(String, String), Ack>>,
     journal: Mutex<Journal>,
     seal: Seal,
-    /// Whether a peer waits for a heartbeat, to know that it is heard.
+    /// Whether a new peer session waits for a heartbeat that confirms it was heard.
     owes_answer: AtomicBool,
 }
 
@@ -54,30 +54,30 @@ pub(crate) struct Links {
 pub(crate) struct Peer {
     heard: Option<Instant>,
     since: Option<Instant>,
-    /// The last heartbeat of each of its sessions, proved or not, the newest last.
+    /// The last heartbeat of each session of the peer, proved or not, the newest last.
     samples: VecDeque<ClockSample>,
-    /// By session, when the last heartbeat from here was sent that those tell of.
+    /// By session: when the last of this bridge's heartbeats that the session has reported was sent.
     told_ns: BTreeMap<u64, u64>,
     /// The session that has proved to be the present one.
     session: Option<u64>,
-    /// When the heartbeat from here was sent by which it has, and by that machine's clock when it came there.
+    /// When the heartbeat from here that proved the session was sent, by this clock, and received, by the peer's clock.
     proved_ns: [u64; 2],
-    /// When the last heartbeat from here was sent that the peer has told of.
+    /// When the last heartbeat from here that the peer has reported was sent.
     answered_ns: u64,
-    /// A session of another run, heard beside that one.
+    /// A session of another run that is heard at the same time as `session`.
     rival: Option<Rival>,
-    /// Whether the user was told that there are two runs, there or here.
+    /// Which double runs were reported to the user.
     told_of_rivals: BTreeSet<Rivals>,
-    /// Whether it has been told of a heartbeat of that session, and so knows the present one here.
+    /// Whether the peer has received a report of its present session, and so knows the session here.
     knows_us: bool,
     clock: Clock,
-    /// The run of its machine, when it has been heard.
+    /// The run of the peer's machine, once heard.
     run: Option<u64>,
     acks: BTreeMap<String, Ack>,
-    /// What it knows to be finished.
+    /// The edges that the peer knows to be finished.
     finished: BTreeSet<FinishedEdge>,
     refused: ToldOnce,
-    /// When something was that came in its name.
+    /// When something in the peer's name was last refused.
     refused_at: Option<Instant>,
     unlike: Vec<Route>,
     missed: bool,
@@ -87,7 +87,7 @@ pub(crate) struct Peer {
 #[derive(Clone, Copy)]
 struct Rival {
     session: u64,
-    /// When the heartbeat from here was sent that it has told of first.
+    /// When the first heartbeat from here that it has reported was sent.
     told_ns: u64,
 }
 
@@ -98,19 +98,19 @@ enum Rivals {
     Here,
 }
 
-/// What is shown of a peer.
+/// The state of a peer, for display.
 pub(crate) struct PeerState {
     pub was_heard: bool,
     pub connected: bool,
-    /// Whether what comes in its name is refused.
+    /// Whether messages in the peer's name are currently refused.
     pub refused: bool,
-    /// For how long that is so.
+    /// How long the peer has been connected or, if it is not, silent.
     pub time: Duration,
     pub clock: Option<Exchange>,
 }
 
 impl Links {
-    /// What a bridge knows before it has heard of anybody.
+    /// Returns the state before any peer was heard.
     pub(crate) fn new(journal: Journal, seal: Seal, bridge: &BridgePlan) -> Self {
         let peers = bridge.peers().into_iter().map(|peer| (peer.to_owned(), Peer::default())).collect();
         let (machine, routes) = (bridge.machine.clone(), routes(bridge));
@@ -128,12 +128,12 @@ impl Links {
         }
     }
 
-    /// What makes and checks the codes of messages.
+    /// Returns the seal, which makes and checks the codes of messages.
     pub(crate) fn seal(&self) -> &Seal {
         &self.seal
     }
 
-    /// Takes in a heartbeat that came under this Zenoh key.
+    /// Processes a heartbeat that came under this Zenoh key.
     pub(crate) fn heard(&self, machine: &str, zenoh_key: &str, bytes: &[u8]) {
         let now_ns = monotonic_ns();
         let opened = self.seal.open(zenoh_key, bytes).and_then(|_| decode_note::<Heartbeat>(bytes));
@@ -148,7 +148,7 @@ impl Links {
         }
     }
 
-    /// Heartbeats may come by two ways, and somebody may repeat them: one that was overtaken tells nothing new.
+    /// Updates a peer from a heartbeat. Heartbeats may come by two paths or be replayed: one that was overtaken is ignored.
     fn take_in(&self, machine: &str, peer: &mut Peer, heartbeat: Heartbeat, now_ns: u64) {
         let now = Instant::now();
         let sample = ClockSample {
@@ -160,7 +160,8 @@ impl Links {
         let own = |sample: &&ClockSample| sample.machine == self.machine && sample.session == self.session;
         let (said, ahead) = heartbeat.samples.iter().filter(own).partition::<Vec<_>, _>(|own| own.sent_ns <= now_ns);
         if !ahead.is_empty() {
-            // Either it is forged, or one of this machine's is that it has taken for true: each has to hear the true ones again.
+            // Either the heartbeat is forged, or the peer has believed a forged one of this machine: each has to hear the true
+            // ones again.
             peer.samples.retain(|known| known.session != heartbeat.session);
             refuse(machine, peer, &WireError::Impossible("it has heard what this machine has not said yet"));
         }
@@ -196,8 +197,8 @@ impl Links {
         peer.finished = finished.into_iter().collect();
     }
 
-    /// Says once that there are two runs of the other machine, or of this one. A run that was begun anew is none of two: of the
-    /// one before it nothing is heard that was said after this one had begun.
+    /// Reports once that the other machine, or this one, runs twice. A restarted run is no second run: nothing is heard of the
+    /// run before it that was sent after the new one began.
     fn look_for_rivals(&self, machine: &str, peer: &mut Peer, samples: &[ClockSample], told_ns: u64) {
         let is_twice_there = peer.rival.is_some_and(|rival| told_ns > rival.told_ns);
         if is_twice_there && peer.told_of_rivals.insert(Rivals::There) {
@@ -206,7 +207,7 @@ impl Links {
                  hint: end one of the two"
             );
         }
-        // What the one before has said may have been long under way.
+        // Messages of the run before may have been under way for long.
         let begun_ns = peer.proved_ns[1].saturating_add(REPORT_MISSING_AFTER.as_nanos() as u64);
         let is_other = |sample: &ClockSample| sample.machine == self.machine && sample.session != self.session;
         let is_twice_here = samples.iter().any(|sample| is_other(sample) && sample.received_ns > begun_ns);
@@ -219,7 +220,8 @@ impl Links {
         }
     }
 
-    /// Says once where the other machine's pipeline file is not this one's: what only one of the two expects never comes.
+    /// Reports once that the other machine's pipeline file differs from this one's: routes that only one of the two expects never
+    /// work.
     fn compare(&self, machine: &str, peer: &mut Peer, theirs: &[Route]) {
         let between = |routes: &[Route]| -> Vec<Route> {
             routes.iter().filter(|route| route.is_between(&self.machine, machine)).cloned().collect()
@@ -241,12 +243,12 @@ impl Links {
         }
     }
 
-    /// Notes how far an edge was received, for the next heartbeat to say.
+    /// Notes how far an edge was received, for the next heartbeat.
     pub(crate) fn received(&self, ack: Ack) {
         lock(&self.acks).insert((ack.from.clone(), ack.topic.clone()), ack);
     }
 
-    /// What there is to tell.
+    /// Returns the news for the next heartbeat.
     pub(crate) fn news(&self) -> News {
         let acks = lock(&self.acks).values().cloned().collect();
         let peers = lock(&self.peers);
@@ -258,8 +260,8 @@ impl Links {
         News { acks, finished: finished.into_iter().collect() }
     }
 
-    /// Whether an edge from here is finished: the machine that receives it has said so, to this process or an earlier one, and
-    /// has begun no other run since.
+    /// Whether an edge from here is finished: the receiving machine has said so to this process or an earlier one, and has begun
+    /// no other run since.
     pub(crate) fn has_finished(&self, to: &str, topic: &str) -> bool {
         let edge =
             FinishedEdge { from: self.machine.clone(), to: to.to_owned(), topic: topic.to_owned(), run: self.run };
@@ -267,21 +269,21 @@ impl Links {
         let Some(peer) = peers.get(to) else { return false };
         match peer.run {
             Some(run) if peer.finished.contains(&edge) => journal.note_finished(edge.clone(), run),
-            // It says so as long as its run lasts: somebody else has said it.
+            // A peer reports a finished edge in each heartbeat of its run; this one does not, so the note was not its own.
             Some(run) => journal.forget_finished(&edge, run),
             None => {}
         }
         journal.finished().any(|(finished, by)| *finished == edge && peer.is_of_run(by))
     }
 
-    /// Notes that an edge to here is finished, if the machine that sends it has been heard: which run of it that is.
+    /// Notes that an edge to here is finished, if the run of the sending machine is known.
     pub(crate) fn finish(&self, from: &str, topic: &str) {
         let Some(run) = lock(&self.peers).get(from).and_then(|peer| peer.run) else { return };
         let (from, to, topic) = (from.to_owned(), self.machine.clone(), topic.to_owned());
         lock(&self.journal).note_finished(FinishedEdge { from, to, topic, run }, self.run);
     }
 
-    /// Whether an edge to here is finished, and whether the machine that sends it is known to know.
+    /// Whether an edge to here is finished, and whether the sending machine is known to know that.
     pub(crate) fn is_finished(&self, from: &str, topic: &str) -> (bool, bool) {
         let peers = lock(&self.peers);
         let journal = lock(&self.journal);
@@ -291,23 +293,24 @@ impl Links {
         (edge.is_some(), edge.is_some_and(is_known))
     }
 
-    /// Notes that a writer of an edge to here has ended after so many messages. It is done before that is acknowledged: the other
-    /// machine may leave then, and nobody else would tell a bridge that is started anew.
+    /// Notes that a writer of an edge to here has ended after `count` messages. This has to happen before the end is
+    /// acknowledged: after that the other machine may leave, and a restarted bridge could not learn it from anybody.
     pub(crate) fn note_end(&self, from: &str, topic: &str, writer: &str, count: u64) {
         lock(&self.journal).note_end(from, topic, writer, count);
     }
 
-    /// Which writers of an edge to here have ended, as this process or an earlier one has noted, each with how many messages it sent.
+    /// Returns the writers of an edge to here that have ended, as noted by this process or an earlier one, with the number of
+    /// messages of each.
     pub(crate) fn ends(&self, from: &str, topic: &str) -> BTreeMap<String, u64> {
         lock(&self.journal).ends(from, topic)
     }
 
-    /// Whether somebody has come, who is told so by the next heartbeat; since this was asked last.
+    /// Whether, since the last call, a new session was heard, which the next heartbeat has to confirm.
     pub(crate) fn owes_answer(&self) -> bool {
         self.owes_answer.swap(false, Ordering::Relaxed)
     }
 
-    /// Says a heartbeat, with this news, under this Zenoh key.
+    /// Sends a heartbeat with this news under this Zenoh key, by calling `put`.
     pub(crate) fn say(&self, zenoh_key: &str, news: News, put: impl FnOnce(Vec<u8>)) {
         let heartbeat = self.heartbeat(news);
         let Ok(mut bytes) = encode_note(&heartbeat) else { return };
@@ -319,7 +322,7 @@ impl Links {
         }
     }
 
-    /// The heartbeat that is due now.
+    /// Builds the heartbeat to send now.
     fn heartbeat(&self, news: News) -> Heartbeat {
         let samples = lock(&self.peers).values().flat_map(|peer| peer.samples.clone()).collect();
         Heartbeat {
@@ -333,18 +336,18 @@ impl Links {
         }
     }
 
-    /// What a peer said it has of a topic.
+    /// Returns the last acknowledgement of a peer for a topic.
     pub(crate) fn ack_of(&self, machine: &str, topic: &str) -> Option<Ack> {
         lock(&self.peers).get(machine)?.acks.get(topic).cloned()
     }
 
-    /// When a peer was heard of last; before this process began, by the one that was killed, counts as then.
+    /// When a peer was last heard. If only an earlier process of this bridge heard it, that counts as the start of this process.
     pub(crate) fn last_heard(&self, machine: &str) -> Option<Instant> {
         self.heard_here(machine).or_else(|| lock(&self.journal).has_heard(machine).then_some(self.started))
     }
 
-    /// For how long a peer is silent to a process that waits for its word since then: one that this process has never heard is
-    /// silent since this process began.
+    /// How long a peer has been silent, counted from `since` at the earliest; for a peer that this process has never heard, from
+    /// the start of this process.
     pub(crate) fn silence(&self, machine: &str, since: Instant) -> Duration {
         self.heard_here(machine).map_or(self.started, |heard| heard.max(since)).elapsed()
     }
@@ -353,10 +356,10 @@ impl Links {
         lock(&self.peers).get(machine)?.heard
     }
 
-    /// Whether a message is of the session of a machine that has proved to be the present one.
+    /// Whether a message belongs to the session of a machine that has proved to be the present one.
     ///
     /// # Errors
-    /// It is of an earlier one.
+    /// The message belongs to an earlier session.
     pub(crate) fn is_present(&self, machine: &str, session: u64) -> Result<bool, &'static str> {
         let peers = lock(&self.peers);
         let Some(peer) = peers.get(machine) else { return Ok(false) };
@@ -367,12 +370,12 @@ impl Links {
         }
     }
 
-    /// Whether a peer was heard of just now, and takes what is sent to it.
+    /// Whether a peer is connected and accepts messages from here.
     pub(crate) fn is_connected(&self, machine: &str) -> bool {
         lock(&self.peers).get(machine).is_some_and(takes_messages)
     }
 
-    /// The time to a peer and back, if it was heard of just now and takes what is sent to it.
+    /// Returns the round-trip time to a peer, if it is connected and accepts messages from here.
     pub(crate) fn round_trip(&self, machine: &str) -> Option<Duration> {
         let peers = lock(&self.peers);
         let peer = peers.get(machine).filter(|peer| takes_messages(peer))?;
@@ -380,12 +383,12 @@ impl Links {
         Some(Duration::from_nanos(u64::try_from(nanoseconds).unwrap_or(0)))
     }
 
-    /// A peer's clock less the own one, in nanoseconds.
+    /// Returns the offset of a peer's clock from this machine's clock, in nanoseconds.
     pub(crate) fn clock_offset(&self, machine: &str) -> Option<i64> {
         lock(&self.peers).get(machine)?.clock.best().map(|exchange| exchange.offset_ns)
     }
 
-    /// All peers; says which have fallen silent since the last look, and once which never came.
+    /// Returns the state of all peers. Logs which have fallen silent since the last call, and once which never came.
     pub(crate) fn look(&self) -> BTreeMap<String, PeerState> {
         let now = Instant::now();
         let mut states = BTreeMap::new();
@@ -410,14 +413,14 @@ impl Links {
 }
 
 impl Peer {
-    /// Whether its machine is in this run, as far as is known.
+    /// Whether its machine is in this run, or its run is unknown.
     fn is_of_run(&self, run: u64) -> bool {
         self.run.is_none_or(|present| present == run)
     }
 
-    /// Notes a heartbeat; nothing if it is no later than another of its session, else whether that is a new one. Later is what
-    /// tells of a later one that was sent here, at `told_ns`, and else by the time of that machine: a forged time that is yet to
-    /// come shuts out none of the true ones.
+    /// Notes a heartbeat. Returns `None` if it is not later than another of its session, else whether its session is new. The
+    /// later heartbeat is the one that reports a later heartbeat of this bridge (sent at `told_ns`); only if these are equal does
+    /// the peer's own time decide. So a forged time in the future does not block genuine heartbeats.
     fn note(&mut self, sample: ClockSample, told_ns: Option<u64>) -> Option<bool> {
         let known = self.samples.iter().position(|known| known.session == sample.session);
         let last_told_ns = self.told_ns.get(&sample.session).copied().unwrap_or_default();
@@ -425,7 +428,7 @@ impl Peer {
         if known.is_some_and(|at| (last_told_ns, self.samples[at].sent_ns) >= (told_ns, sample.sent_ns)) {
             return None;
         }
-        // Of the session that has proved itself is told in any case.
+        // The session that has proved itself is never displaced.
         let other = || self.samples.iter().position(|known| Some(known.session) != self.session);
         let gives_way = known.or_else(|| other().filter(|_| self.samples.len() == SESSIONS));
         if let Some(sample) = gives_way.and_then(|at| self.samples.remove(at)) {
@@ -436,15 +439,15 @@ impl Peer {
         Some(known.is_none())
     }
 
-    /// Whether a heartbeat counts that tells of one which was sent here at `told_ns`: it is of the present session, or of one
-    /// that proves by it to be that. Another run has to wait until nothing is heard of the present one.
+    /// Whether a heartbeat counts that reports one sent from here at `told_ns`: it belongs to the present session, or proves by
+    /// this report that its session is the present one. Another run has to wait until the present one is silent.
     fn believes(&mut self, heartbeat: &Heartbeat, told_ns: u64, now: Instant) -> bool {
         let &Heartbeat { session, run, .. } = heartbeat;
         if self.session == Some(session) {
             return true;
         }
         if is_connected(self, now) && self.run != Some(run) {
-            // What was said to this bridge before that one had proved itself may be of a run that is no more.
+            // A report of an earlier heartbeat may come from a run that has ended.
             if told_ns > self.proved_ns[0] && self.rival.is_none_or(|rival| rival.session != session) {
                 self.rival = Some(Rival { session, told_ns });
             }
@@ -454,7 +457,7 @@ impl Peer {
     }
 }
 
-/// Whether messages to a peer are not in vain: it takes them from nobody before the session here has proved itself to it.
+/// Whether a peer accepts messages from here: before the session here has proved itself, the peer drops them.
 fn takes_messages(peer: &Peer) -> bool {
     peer.knows_us && is_connected(peer, Instant::now())
 }
@@ -467,7 +470,7 @@ fn is_recent(time: Option<Instant>, now: Instant) -> bool {
     time.is_some_and(|time| now.saturating_duration_since(time) < DISCONNECTED_AFTER)
 }
 
-/// Says once that a peer has never been heard of, or does not hear this one, and was not refused either.
+/// Reports once that a peer was never heard, or does not hear this one, unless it was refused.
 fn miss(machine: &str, peer: &mut Peer) {
     if peer.heard.is_some() || !peer.refused.texts().is_empty() || peer.missed {
         return;
@@ -488,7 +491,7 @@ fn miss(machine: &str, peer: &mut Peer) {
     }
 }
 
-/// Says once why a peer is not listened to.
+/// Reports once why a peer is refused.
 fn refuse(machine: &str, peer: &mut Peer, error: &WireError) {
     let reason = error.to_string();
     peer.refused_at = Some(Instant::now());
@@ -497,12 +500,12 @@ fn refuse(machine: &str, peer: &mut Peer, error: &WireError) {
     }
 }
 
-/// What crosses.
+/// The routes of all edges of a bridge.
 fn routes(bridge: &BridgePlan) -> Vec<Route> {
     bridge.outgoing.iter().chain(&bridge.incoming).flat_map(routes_of).collect()
 }
 
-/// What an edge carries to each machine.
+/// The routes of one edge, one per receiving machine.
 fn routes_of(edge: &Edge) -> impl Iterator<Item = Route> {
     edge.to.iter().map(|receiver| {
         let delivery = if receiver.delivery == Delivery::Lossless { "lossless" } else { "latest" };

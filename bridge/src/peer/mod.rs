@@ -1,4 +1,4 @@
-//! What bridges know of one another: they send each other heartbeats, compare their clocks, and report how each link is.
+//! The relations between bridges: heartbeats, clock comparison, acknowledgements, and reports on the links.
 
 pub(crate) mod clock;
 pub(crate) mod counts;

@@ -1,4 +1,4 @@
-//! What a bridge reports of itself while it runs: `top` and the summary show its links and edges.
+//! The reports of a running bridge: `top` and the summary show its links and edges.
 
 use super::counts::EdgeCounts;
 use super::links::{Links, PeerState};
@@ -20,7 +20,7 @@ pub(crate) struct EdgeHandle<'a> {
 }
 
 impl<'a> EdgeHandle<'a> {
-    /// An edge whose counts go on where an earlier bridge of the run left them in its links and its record.
+    /// Returns an edge whose counts continue from the links and the record of an earlier bridge process of the run.
     fn new(edge: &'a Edge, outgoing: bool, links: &[LinkReport], record: &Status) -> Self {
         let mut links = links.iter().filter(|link| reaches(edge, outgoing, &link.machine));
         let is_it = |report: &&EdgeReport| report.topic == edge.topic.name && report.direction == way(outgoing);
@@ -56,7 +56,7 @@ pub(crate) struct BridgeReporter<'a> {
 
 impl<'a> BridgeReporter<'a> {
     pub(crate) fn new(bridge: &'a BridgePlan, run: BridgeRun<'a>, record: StatusFile, links: &'a Links) -> Self {
-        // Bridges that were started by themselves have no run in common.
+        // Bridges that were started by themselves share no run.
         let before = if run.run == NO_RUN { Vec::new() } else { read_links(run.folder, run.run) };
         let handle = |edge, outgoing| EdgeHandle::new(edge, outgoing, &before, &record.status);
         let outgoing = bridge.outgoing.iter().map(|edge| handle(edge, true));
@@ -69,7 +69,7 @@ impl<'a> BridgeReporter<'a> {
         now.saturating_duration_since(self.reported) > PERIOD
     }
 
-    /// Writes what `top` and the summary show; `reachable` says whether there is a link to anybody.
+    /// Writes the reports for `top` and the summary; `reachable` says whether there is any link.
     pub(crate) fn report(&mut self, reachable: bool) {
         let seconds = self.reported.elapsed().as_secs_f64();
         self.reported = Instant::now();
@@ -135,7 +135,7 @@ mod tests {
         BridgePlan { machine: "base".to_owned(), outgoing, incoming, ..BridgePlan::default() }
     }
 
-    /// What a machine gets of a topic.
+    /// The edge that carries topic `name` to machine `to`.
     fn edge(to: &str, name: &str) -> Edge {
         let edge = edge_tests::edge(Delivery::Latest, "reader");
         let topic = Topic { name: name.to_owned(), ..edge.topic };

@@ -1,5 +1,5 @@
-//! Lossless delivery: the sender keeps, on disk too, what is not acknowledged, and sends it again; the receiver takes messages
-//! in their order. Where the newest wins, a window bounds what is under way instead.
+//! Lossless delivery: the sender keeps unacknowledged messages, also on disk, and retransmits them; the receiver takes messages
+//! in order. With `latest`, a window limits the messages under way instead.
 
 #[cfg(test)]
 mod model;

@@ -1,8 +1,8 @@
-//! A model of an edge between two bridges and its reader, which `stateright` walks through in every order in which messages,
-//! heartbeats, kills, restarts and ends can come. It drives what numbers, keeps and judges messages in earnest; what reads and
-//! writes shared memory, the link and the files is modelled. Time matters only where somebody is waited for: who is there is
-//! heard now, a bridge that was killed was heard longer ago than an end is waited for, and who has left longer ago than anything
-//! is.
+//! A model of an edge between two bridges and its reader. `stateright` explores it in every possible order of messages,
+//! heartbeats, kills, restarts and ends. The code that numbers, keeps and judges messages is the real one; the loops that read
+//! and write shared memory, the link and the files are modelled. Time matters only for timeouts: a bridge that runs was heard
+//! just now; a killed bridge was last heard longer ago than `END_PATIENCE`; a bridge that has left was last heard longer ago than
+//! any timeout.
 
 use super::passed_on::PassedOn;
 use super::retransmit_queue::{END_PATIENCE, RetransmitQueue};
@@ -24,51 +24,51 @@ const ROBOT: usize = 0;
 const BASE: usize = 1;
 const READER: usize = 2;
 const WRITER: &str = "writer";
-/// Longer than anything is waited for.
+/// Longer than any timeout.
 const LONG: Duration = Duration::from_secs(100);
 
-/// What is left out of the protocol, to see that the model finds it out.
+/// The part of the protocol that a trial leaves out, to check that the model detects it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fault {
     None,
-    /// What was not acknowledged goes with the process that sent it.
+    /// The log of unacknowledged messages is lost with the process that sent them.
     KeepsNoLog,
-    /// What has come counts as finished, although the readers have not.
+    /// A received message counts as finished before the readers have finished it.
     FinishesFirst,
-    /// The end counts as known there before its readers know it.
+    /// The receiving bridge counts its readers as informed of the end before they are.
     TellsEndFirst,
-    /// The other bridge's farewell is not waited for.
+    /// The base's bridge does not wait for the other bridge to confirm its farewell.
     LeavesAtOnce,
-    /// What the base wants nothing more of is not noted by the robot.
+    /// The robot's bridge does not note that the base wants nothing more.
     NotesNothing,
-    /// An end is acknowledged, and not noted by the base.
+    /// The base's bridge acknowledges an end without noting it.
     ForgetsEnd,
-    /// What was to be sent again is waited for although the robot has left.
+    /// The base's bridge waits for retransmissions although the robot has left.
     WaitsForRest,
-    /// Readers that come when the base's bridge has told the end are not told it.
+    /// The base's bridge leaves no mark of the end for readers that start later.
     LeavesNoMark,
 }
 
-/// What is walked through.
+/// The configuration of one exploration.
 #[derive(Clone, Debug)]
 struct Trial {
     delivery: Delivery,
     messages: u64,
-    /// How often the robot's bridge, the base's and the reader may be killed.
+    /// How often the robot's bridge, the base's bridge and the reader may be killed.
     kills: [u8; 3],
-    /// Whether there is a key, by which each knows who has made what comes.
+    /// Whether the bridges share a key, which authenticates the origin of each message.
     has_key: bool,
     fault: Fault,
     start: Instant,
 }
 
-/// When a process is killed while it sends something.
+/// When a process is killed while it sends a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Killed {
     Not,
-    /// What it sends lies in the log, and has not gone out.
+    /// The message lies in the log, but has not gone out.
     Logged,
-    /// It has gone out, and the writer does not know that it needs it no more.
+    /// The message has gone out, but has not been acknowledged to the writer.
     Sent,
 }
 
@@ -76,39 +76,39 @@ enum Killed {
 enum Event {
     /// The robot's bridge sends the next message, or the end.
     Send(Killed),
-    /// What is first on the link comes.
+    /// The base's bridge processes the first message on the link.
     Come,
-    /// What is first on the link is lost, where it may be.
+    /// The first message on the link is lost, where loss is allowed.
     Lose,
-    /// What is not acknowledged is sent again.
+    /// The robot's bridge retransmits unacknowledged messages.
     SendAgain,
-    /// The base is heard by the robot.
+    /// The robot's bridge hears a heartbeat of the base.
     HearBase,
-    /// The robot is heard by the base.
+    /// The base's bridge hears a heartbeat of the robot.
     HearRobot,
     /// The reader finishes a message.
     Finish,
-    /// The base's bridge does not wait any longer for what was to be sent again.
+    /// The base's bridge stops waiting for retransmissions.
     GiveUpRest,
-    /// The reader is told the end.
+    /// The reader is informed of the end.
     TellEnd,
-    /// The reader has heard that nothing more comes, and ends.
+    /// The reader knows that nothing more comes, and ends.
     EndReader,
-    /// The base's bridge carries nothing any more: whoever was to know the end does.
+    /// The base's bridge stops carrying messages: all readers know the end.
     EndCarrying,
     /// The base's bridge notes that nothing more is wanted.
     NoteFinished,
     Kill(usize),
-    /// Who was killed is started anew; the robot's bridge is at once.
+    /// A killed process is restarted. The robot's bridge is restarted at once.
     Start(usize),
     /// A bridge has done all its work.
     Leave(usize),
-    /// The robot's bridge is killed when it has removed its log, before it has noted that it has ended.
+    /// The robot's bridge is killed after it has removed its log, but before it has noted its end.
     KillAtEnd,
 }
 
 impl Event {
-    /// Who is killed by it.
+    /// The process that this event kills.
     fn victim(self) -> Option<usize> {
         match self {
             Self::Send(Killed::Logged | Killed::Sent) | Self::KillAtEnd => Some(ROBOT),
@@ -122,9 +122,9 @@ impl Event {
 #[derive(Clone)]
 struct Sender {
     queue: RetransmitQueue,
-    /// Number of the writer's message that it takes next; that behind the last one is the end.
+    /// Number of the writer's next message. The number after the last message is the end.
     next: u64,
-    /// What this process has heard that the base has.
+    /// The last acknowledgement that this process has received from the base.
     ack: Option<Ack>,
 }
 
@@ -140,25 +140,25 @@ struct Receiver {
     /// Whether a process before this one has noted the end.
     is_end_known: bool,
     has_ended: bool,
-    /// Whether it carries nothing any more, and stays until the robot knows that nothing is wanted.
+    /// Whether it carries nothing any more, and only stays until the robot knows that nothing more is wanted.
     has_carried: bool,
-    /// What it acknowledges.
+    /// The acknowledgement that its heartbeats carry.
     ack: Option<Ack>,
-    /// Whether this process has heard the robot, and whether that the robot knows that nothing more is wanted.
+    /// Whether this process has heard the robot, and whether the robot is known to know that nothing more is wanted.
     has_heard: bool,
     is_known: bool,
 }
 
-/// The reader on the base.
+/// The state of the reader on the base.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Reader {
     AtWork,
-    /// It was killed, and is not back.
+    /// It was killed, and has not been restarted.
     Killed,
     Ended,
 }
 
-/// The edge, with what lies in files and in shared memory.
+/// The state of the edge, including files and shared memory.
 #[derive(Clone)]
 struct Edge {
     now: Instant,
@@ -169,29 +169,29 @@ struct Edge {
     base: Option<Receiver>,
     has_base_left: bool,
     reader: Reader,
-    /// What the robot's writer need not keep any more.
+    /// The robot's writer may drop the messages before this number.
     acknowledged: u64,
-    /// What the robot's journal has: the base was heard, and wants nothing more.
+    /// The robot's journal: whether the base was heard, and whether the base wants nothing more.
     has_heard: bool,
     knows_finished: bool,
-    /// What the base's journal has: that nothing more is wanted, and the end, which tells how many messages there are.
+    /// The base's journal: whether nothing more is wanted, and the noted end, as the number of messages.
     is_finished: bool,
     noted_end: Option<u64>,
-    /// Whether the base's folder says that the writer has ended.
+    /// Whether the base's folder marks the writer as ended.
     is_marked: bool,
     link: VecDeque<Vec<u8>>,
-    /// What was passed on, and is not finished.
+    /// Messages that were passed on and are not finished.
     held: VecDeque<u64>,
-    /// What the reader has finished.
+    /// Messages that the reader has finished.
     finished: Vec<u64>,
-    /// How many there are, as the reader is told.
+    /// The number of messages that was announced to the reader with the end.
     told: Option<u64>,
-    /// What the robot tells as lost at its end.
+    /// The number of lost messages that the robot reports at its end.
     lost: u64,
 }
 
 impl Edge {
-    /// What tells two states apart: not the time, nor what follows from the rest.
+    /// The parts that distinguish two states: neither times nor anything that follows from the rest.
     fn essence(&self) -> impl Hash + PartialEq + Debug {
         let position = |bytes: &Vec<u8>| {
             let StreamPosition { stream, number, oldest } = position_of(bytes).unwrap();
@@ -235,7 +235,7 @@ impl Debug for Edge {
     }
 }
 
-/// A message as it goes onto the link, and behind it what the reader is to see of it.
+/// A message as it goes onto the link, followed by the content that the model's reader sees.
 fn message(position: StreamPosition, number: u64, ends: bool) -> Vec<u8> {
     let item = edge(Delivery::Lossless, "reader").item;
     let mut bytes = encode_message(position, &item, &Header::default(), &[], Compression::None).unwrap();
@@ -244,7 +244,7 @@ fn message(position: StreamPosition, number: u64, ends: bool) -> Vec<u8> {
     bytes
 }
 
-/// The writer's number of a message, and whether it is the end, which tells how many there were.
+/// The writer's number of a message, and whether it is the end. The number of an end is the number of messages.
 fn content(bytes: &[u8]) -> (u64, bool) {
     let (rest, ends) = bytes.split_at(bytes.len() - 1);
     let number = rest.last_chunk().map(|number| u64::from_le_bytes(*number));
@@ -283,7 +283,7 @@ impl Edge {
         self.delivery == Delivery::Lossless
     }
 
-    /// A bridge of the robot with what an earlier one has left in its log.
+    /// Starts a bridge on the robot with the log of its predecessor.
     fn start_robot(&mut self, log: SendLog) {
         self.starts += 1;
         let receivers = edge(self.delivery, "reader").to;
@@ -299,7 +299,7 @@ impl Edge {
             follow: None,
             count: self.noted_end.unwrap_or_default(),
             is_end_known,
-            // Where none may be missed, what comes before the end may not have been passed on.
+            // The messages before the end may not have been passed on: a lossless edge has to receive them first.
             has_ended: is_end_known && !self.is_lossless(),
             has_carried: self.is_finished,
             ack: None,
@@ -307,11 +307,11 @@ impl Edge {
             is_known: false,
         });
         self.acknowledge_while_carrying(trial);
-        // It is a new session, of which the robot knows nothing.
+        // This is a new session, of which the robot knows nothing yet.
         self.robot.iter_mut().for_each(|robot| robot.ack = None);
     }
 
-    /// How many messages the base's bridge has passed on since the first that is not finished and has to be.
+    /// How many of the messages passed on last a lossless reader has not finished.
     fn unfinished(&self) -> usize {
         if self.is_lossless() && self.reader != Reader::Ended { self.held.len() } else { 0 }
     }
@@ -325,14 +325,14 @@ impl Edge {
         base.ack = Some(Ack { from: "robot".into(), topic: "objects".into(), stream, next, finished, ended });
     }
 
-    /// A bridge that tells the end, or stays, looks for nothing to acknowledge.
+    /// Acknowledges, unless the bridge already announces the end or only stays.
     fn acknowledge_while_carrying(&mut self, trial: &Trial) {
         if self.base.as_ref().is_some_and(|base| !base.has_ended && !base.has_carried) {
             self.acknowledge(trial);
         }
     }
 
-    /// What the robot's bridge makes of what it knows, as it does before each step.
+    /// Updates the queue of the robot's bridge with what that bridge has heard, as it does before each step.
     fn settle(&mut self) {
         let silence = match &self.base {
             Some(_) => Duration::ZERO,
@@ -363,7 +363,7 @@ impl Edge {
             robot.queue.sent(&bytes, self.now);
         }
         robot.next += 1;
-        // The end of a writer that is over is told by every process.
+        // Each process of the bridge sends the end of a writer that is over.
         let taken = robot.next.min(trial.messages);
         if !is_lossless {
             // The writer keeps nothing.
@@ -382,15 +382,15 @@ impl Edge {
         Some(())
     }
 
-    /// Takes what is first on the link.
+    /// Processes the first message on the link.
     fn come(&mut self, trial: &Trial) -> Option<()> {
         let is_away = self.is_lossless() && self.reader == Reader::Killed;
         let base = self.base.as_mut()?;
         if base.has_ended || base.has_carried {
-            // Nobody looks at it.
+            // It is not read any more.
             return self.link.pop_front().map(drop);
         }
-        // A reader that must not miss a message is waited for.
+        // A message waits until a lossless reader is back; an end does not.
         let bytes = self.link.pop_front_if(|bytes| content(bytes).1 || !is_away)?;
         base.has_heard = true;
         let (position, (number, ends)) = (position_of(&bytes).unwrap(), content(&bytes));
@@ -426,7 +426,7 @@ impl Edge {
         Some(())
     }
 
-    /// Hands a message to the reader, if it is there: where the newest wins, in place of the one before.
+    /// Passes a message to the reader if it is running. With `latest`, it replaces the message before.
     fn pass_on(&mut self, number: u64) {
         if self.reader != Reader::AtWork {
             return;
@@ -438,7 +438,7 @@ impl Edge {
     }
 
     fn send_again(&mut self) -> Option<()> {
-        // What is on its way comes first.
+        // Messages under way arrive first.
         if !self.link.is_empty() || self.base.is_none() {
             return None;
         }
@@ -450,7 +450,7 @@ impl Edge {
     /// The reader finishes a message.
     fn finish(&mut self, trial: &Trial) -> Option<()> {
         let number = self.held.pop_front().filter(|_| self.reader == Reader::AtWork)?;
-        // What comes again is dropped by its number, where it may.
+        // A lossless reader drops repeated messages by their number.
         if !self.is_lossless() || self.finished.last().is_none_or(|last| *last < number) {
             self.finished.push(number);
         }
@@ -463,7 +463,7 @@ impl Edge {
         if self.told.is_some() || self.reader != Reader::AtWork || self.unfinished() > 0 {
             return None;
         }
-        // What came again may be less than there was.
+        // After a restart, fewer messages may have come than there were.
         self.told = Some(self.noted_end.unwrap_or(base.count));
         Some(())
     }
@@ -473,7 +473,7 @@ impl Edge {
         let is_due = match self.reader {
             Reader::Ended => true,
             _ if trial.fault == Fault::TellsEndFirst => base.has_ended,
-            // It is not waited for any longer.
+            // A killed reader is not waited for once nothing is unfinished.
             Reader::Killed => base.has_ended && self.unfinished() == 0,
             Reader::AtWork => false,
         };
@@ -486,7 +486,7 @@ impl Edge {
         Some(())
     }
 
-    /// A killed process loses what it knows; with a bridge goes what is on its way, and with the base's what was not finished.
+    /// Kills a process. A killed bridge loses the messages on the link; the base's bridge also loses the unfinished ones.
     fn kill(&mut self, victim: usize, trial: &Trial) -> Option<()> {
         match victim {
             ROBOT => {
@@ -525,7 +525,7 @@ impl Edge {
     fn leave(&mut self, bridge: usize, trial: &Trial) -> Option<()> {
         if bridge == BASE {
             let base = self.base.as_ref().filter(|base| base.has_carried && (self.is_finished || !base.has_heard))?;
-            // Where none may be missed it stays until the other one knows, or has left.
+            // On a lossless edge it stays until the other bridge knows, or has left.
             let is_patient = self.is_lossless() && trial.fault != Fault::LeavesAtOnce;
             if is_patient && !base.is_known && self.robot.is_some() {
                 return None;
@@ -533,8 +533,8 @@ impl Edge {
             (self.base, self.has_base_left) = (None, true);
             return Some(());
         }
-        // Where the newest wins, an end is told for a while only; who has not heard it by then waits until the robot runs again.
-        // So nobody is away here for so long.
+        // With `latest`, an end is announced only for `END_PATIENCE`; a reader that has not heard it by then waits until the
+        // robot runs again. So the model keeps the clock still while the base may come back.
         let now = if self.is_lossless() || self.has_base_left { self.now } else { trial.start };
         let is_done = |robot: &&Sender| robot.next > trial.messages && robot.queue.is_settled(now);
         self.lost = self.robot.as_ref().filter(is_done)?.queue.lost_if_it_ends();
@@ -542,7 +542,7 @@ impl Edge {
         Some(())
     }
 
-    /// What follows from an event; nothing where it cannot be.
+    /// The state after an event, or `None` where the event is impossible.
     fn after(&self, event: Event, trial: &Trial) -> Option<Self> {
         if event.victim().is_some_and(|victim| self.kills[victim] >= trial.kills[victim]) {
             return None;
@@ -562,7 +562,7 @@ impl Edge {
             }
             Event::HearRobot => {
                 next.robot.as_ref()?;
-                // Before that nothing follows from it.
+                // An earlier heartbeat has no effect.
                 let base = next.base.as_mut().filter(|base| base.has_carried)?;
                 (base.has_heard, base.is_known) = (true, next.knows_finished);
             }
@@ -599,7 +599,7 @@ impl Edge {
         self.robot.is_none() && self.has_base_left && self.reader == Reader::Ended
     }
 
-    /// What tells this state apart from others, in 64 bits.
+    /// A 64-bit hash of this state.
     fn fingerprint(&self) -> u64 {
         let mut hasher = DefaultHasher::new();
         self.hash(&mut hasher);
@@ -640,7 +640,7 @@ impl Model for Trial {
         vec![Edge::new(self)]
     }
 
-    /// Also those that cannot be, from which nothing follows.
+    /// All events, including impossible ones, for which `next_state` returns `None`.
     fn actions(&self, _: &Edge, events: &mut Vec<Event>) {
         events.extend(EVENTS);
     }
@@ -674,7 +674,8 @@ impl Trial {
         Self { delivery, messages, kills, has_key: true, fault: Fault::None, start }
     }
 
-    /// Walks through all states, and prints how each property that does not hold is broken; which ones these are.
+    /// Explores all states and prints a counterexample of each property that fails. Returns the names of those properties and the
+    /// number of states.
     fn broken(self) -> (Vec<&'static str>, usize) {
         let checker = self.clone().checker().threads(2).finish_when(HasDiscoveries::AnyFailures).spawn_bfs().join();
         let states = checker.unique_state_count();
@@ -690,8 +691,8 @@ impl Trial {
         (broken, states)
     }
 
-    /// A state from which no events but kills lead to the end, if there is one: a run that stands still, or in which bridges go
-    /// on talking for ever.
+    /// Returns a state from which no events other than kills lead to the end, if there is one: a deadlock, or bridges that
+    /// exchange messages for ever.
     fn endless(&self) -> Option<Edge> {
         let mut states = vec![Edge::new(self)];
         let mut numbers = HashMap::from([(states[0].fingerprint(), 0)]);
@@ -752,7 +753,7 @@ fn where_the_newest_wins_no_order_of_events_brings_a_message_twice_or_keeps_a_ru
     }
 }
 
-/// The same for longer: as long as it takes.
+/// The same with more messages and kills; takes minutes.
 #[test]
 #[ignore = "takes minutes"]
 fn no_longer_order_of_events_loses_anything_or_keeps_a_run_waiting() {

@@ -1,4 +1,4 @@
-//! What the receiving end of an edge has passed on, as long as readers that must not miss any of it have not finished it.
+//! The messages that the receiving end of an edge has passed on and that lossless readers have not finished.
 
 use std::collections::VecDeque;
 
@@ -14,8 +14,8 @@ impl PassedOn {
         self.messages.push_back(position);
     }
 
-    /// The number of the first message of the expected stream that may be needed again, where the readers here have not finished
-    /// the last `unfinished` messages, and `next` is expected.
+    /// Returns the number of the first message of the expected stream that may be needed again. The readers here have not
+    /// finished the last `unfinished` messages; `next` is the expected number.
     pub(crate) fn finished(&mut self, unfinished: usize, (stream, next): (u64, u64)) -> u64 {
         let finished = self.messages.len().saturating_sub(unfinished);
         self.messages.drain(..finished);

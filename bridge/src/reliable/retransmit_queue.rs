@@ -1,5 +1,5 @@
-//! The sending end of an edge's numbering: keeps what was not acknowledged, says what is to be sent again, and gives up
-//! what a machine that stayed away for too long will not get.
+//! The sending end of an edge's numbering: keeps unacknowledged messages, selects those to retransmit, and gives up messages for
+//! a machine that stayed away for too long.
 
 use super::send_log::SendLog;
 use super::window::Window;
@@ -12,14 +12,14 @@ use std::time::{Duration, Instant};
 #[cfg(test)]
 use std::{fmt::Debug, hash::Hash};
 
-/// What was not acknowledged after this time is sent again, and then each time after twice as long, up to a limit: a slow
-/// receiver lacks it no less than a bad link.
+/// A message is retransmitted when it was not acknowledged after this time. The interval then doubles each time, up to a limit:
+/// the receiver may be slow and the link good.
 const RESEND_AFTER: Duration = Duration::from_millis(250);
 const LONGEST_RESEND_AFTER: Duration = Duration::from_secs(4);
-/// The other end of an edge is waited for so long, to learn that the stream has ended, where nothing else keeps it.
+/// How long one end of an edge waits for the other at the end of a stream, if nothing else has to be waited for.
 pub(crate) const END_PATIENCE: Duration = Duration::from_secs(5);
 
-/// What has left a machine by one edge and may have to leave it again.
+/// The messages that have left a machine by one edge and may have to be sent again.
 #[cfg_attr(test, derive(Clone))]
 pub(crate) struct RetransmitQueue {
     stream: u64,
@@ -43,33 +43,34 @@ struct End {
     bytes: Vec<u8>,
 }
 
-/// What is known of a receiving machine.
+/// The state of one receiving machine.
 #[cfg_attr(test, derive(Clone))]
 struct Remote {
     machine: String,
     lossless: bool,
-    /// Number of the message that it expects next.
+    /// Number of the message that the machine expects next.
     expected: u64,
-    /// Number of the first message that it may need again, if its bridge is started anew.
+    /// Number of the first message that the machine may need again if its bridge is restarted.
     finished: u64,
     ended: BTreeSet<String>,
     heard: Option<Instant>,
-    /// Whether it has acknowledged last what was not sent.
+    /// Whether its last acknowledgement covered messages that were not sent.
     overstates: bool,
-    /// Whether it wants nothing more, as long as its run lasts.
+    /// Whether it wants nothing more for the rest of its run.
     is_done: bool,
 }
 
 impl Remote {
-    /// Whether nothing was heard of it for `limit`, although there was something before.
+    /// Whether it was heard before, but not for the last `limit`.
     fn is_gone(&self, now: Instant, limit: Duration) -> bool {
         self.heard.is_some_and(|heard| now.saturating_duration_since(heard) > limit)
     }
 }
 
 impl RetransmitQueue {
-    /// An edge to these machines, in a new stream or in that of the log that an earlier process has left; where the newest wins a
-    /// message may wait on the way for `wait`, where not a machine is waited for during `outage`.
+    /// Returns the queue of an edge to these machines. It continues the stream of the log that an earlier process has left, or
+    /// begins a new one. With `latest`, a message may be delayed for `wait`; a lossless machine that is away is waited for during
+    /// `outage`.
     pub(crate) fn new(
         stream: u64,
         log: SendLog,
@@ -103,7 +104,7 @@ impl RetransmitQueue {
         }
     }
 
-    /// What tells the states of two queues apart, but for times, in a model.
+    /// The parts that distinguish two queues in a model: all but the times.
     #[cfg(test)]
     pub(super) fn essence(&self) -> impl Hash + PartialEq + Debug + use<> {
         let known = |remote: &Remote| {
@@ -113,51 +114,52 @@ impl RetransmitQueue {
         (self.stream, self.next, ends, self.receivers.iter().map(known).collect::<Vec<_>>(), self.lost())
     }
 
-    /// The messages that lie in its log.
+    /// The messages in the log.
     #[cfg(test)]
     pub(super) fn kept(&self) -> impl Iterator<Item = &Vec<u8>> {
         self.log.since(0)
     }
 
-    /// The machines that receive this.
+    /// The receiving machines.
     pub(crate) fn machines(&self) -> Vec<String> {
         self.receivers.iter().map(|remote| remote.machine.clone()).collect()
     }
 
-    /// What is known of those machines that want more.
+    /// The machines that want more messages.
     fn waiting(&self) -> impl Iterator<Item = &Remote> {
         self.receivers.iter().filter(|remote| !remote.is_done)
     }
 
-    /// Messages that a lossless receiver will not get, with those that an earlier process of this bridge has given up.
+    /// The number of messages that a lossless receiver will not get, including those that earlier processes of this bridge gave
+    /// up.
     pub(crate) fn lost(&self) -> u64 {
         self.log.lost()
     }
 
-    /// Whether more was acknowledged than was sent, since this was asked last; of each such acknowledgement it is told once.
+    /// Whether, since the last call, an acknowledgement covered messages that were not sent. Repetitions are reported once.
     pub(crate) fn was_overstated(&mut self) -> bool {
         std::mem::take(&mut self.overstated)
     }
 
-    /// Messages that a lossless receiver may not have got yet.
+    /// The number of messages, without ends, that some lossless receiver may not have received yet.
     pub(crate) fn unacknowledged(&self) -> u64 {
         let lacking = self.lacking(|_| true);
         let ends = self.ends.iter().filter(|end| end.number >= lacking).count();
         self.log.since(lacking).count().saturating_sub(ends) as u64
     }
 
-    /// Messages that a lossless receiver will not get if nothing is sent any more.
+    /// The number of messages that lossless receivers will not get if nothing more is sent.
     pub(crate) fn lost_if_it_ends(&self) -> u64 {
         self.lost() + self.unacknowledged()
     }
 
-    /// Number of the first message that a lossless receiver of these lacks.
+    /// Number of the first message that a lossless receiver lacks, among the machines for which `counts` is true.
     fn lacking(&self, counts: impl Fn(&str) -> bool) -> u64 {
         let lossless = self.waiting().filter(|remote| remote.lossless && counts(&remote.machine));
         lossless.map(|remote| remote.expected).min().unwrap_or(self.next)
     }
 
-    /// Whether another message may be sent; `round_trip` tells of the machines that are there.
+    /// Whether another message may be sent; `round_trip` returns the round-trip time of a connected machine.
     pub(crate) fn may_send(&mut self, now: Instant, round_trip: impl Fn(&str) -> Option<Duration>) -> bool {
         if self.waiting().any(|remote| remote.lossless) {
             return self.log.has_room();
@@ -170,7 +172,7 @@ impl RetransmitQueue {
         self.window.is_open()
     }
 
-    /// Whether there is anybody to send to: a machine that must not miss a message is, even where it cannot be reached.
+    /// Whether a machine wants messages: a lossless one always does, any other one only while it is connected.
     pub(crate) fn is_wanted(&self, alive: impl Fn(&str) -> bool) -> bool {
         self.waiting().any(|remote| remote.lossless || alive(&remote.machine))
     }
@@ -184,7 +186,7 @@ impl RetransmitQueue {
         self.log.oldest().unwrap_or(self.next)
     }
 
-    /// Counts the message that was made for [`RetransmitQueue::next_position`], and keeps it if somebody must not miss it.
+    /// Counts the message that was made for [`RetransmitQueue::next_position`], and keeps it if a receiver is lossless.
     pub(crate) fn sent(&mut self, bytes: &[u8], now: Instant) {
         if self.log.len() == 0 {
             self.progress = now;
@@ -197,15 +199,15 @@ impl RetransmitQueue {
         self.next += 1;
     }
 
-    /// The same for the end of a writer's stream, of which everybody is told until they know.
+    /// Does the same for the end of a writer's stream, which is sent to each receiver until it acknowledges the end.
     pub(crate) fn sent_end(&mut self, writer: &str, bytes: &[u8], now: Instant) {
         self.ends.push(End { writer: writer.to_owned(), number: self.next, bytes: bytes.to_vec() });
         self.sent(bytes, now);
         self.ended_at = Some(now);
     }
 
-    /// Learns what a machine has, and when it was heard of last. One that had wanted nothing more is in another run now, and gets
-    /// what is still kept and what follows.
+    /// Updates what a machine has received and when it was last heard. If it wanted nothing more before, it is in another run now
+    /// and gets the messages that are still kept and those that follow.
     pub(crate) fn acknowledge(&mut self, machine: &str, ack: Option<&Ack>, heard: Option<Instant>, now: Instant) {
         let oldest = self.oldest();
         let Some(remote) = self.receivers.iter_mut().find(|remote| remote.machine == machine) else { return };
@@ -213,7 +215,7 @@ impl RetransmitQueue {
         if std::mem::take(&mut remote.is_done) {
             remote.finished = oldest;
         }
-        // Nobody has more than was sent: such an acknowledgement is forged, or its machine has taken a forged message.
+        // No receiver can have more than was sent: such an acknowledgement is forged, or its machine has taken a forged message.
         let ack = ack.filter(|ack| ack.stream == self.stream);
         let overstates = ack.is_some_and(|ack| ack.next > self.next);
         self.overstated |= overstates && !remote.overstates;
@@ -225,13 +227,13 @@ impl RetransmitQueue {
             }
             remote.finished = remote.finished.max(ack.finished.min(ack.next));
         }
-        // A bridge that was started anew has received nothing yet.
+        // A restarted bridge has received nothing yet.
         remote.ended = ack.map(|ack| ack.ended.iter().cloned().collect()).unwrap_or_default();
         remote.expected = ack.map_or(0, |ack| ack.next).max(remote.finished);
         self.forget(now);
     }
 
-    /// Drops what all lossless receivers have, or have been away for too long to get.
+    /// Drops the messages that all lossless receivers have finished; those that are away for longer than the outage do not count.
     fn forget(&mut self, now: Instant) {
         let lossless = || self.waiting().filter(|remote| remote.lossless);
         let waited_for = lossless().filter(|remote| !remote.is_gone(now, self.outage)).map(|remote| remote.finished);
@@ -239,13 +241,13 @@ impl RetransmitQueue {
         let given_up: Vec<u64> = lossless().map(|remote| remote.expected).collect();
         while let Some(number) = self.log.oldest().filter(|number| *number < needed) {
             let is_end = self.ends.iter().any(|end| end.number == number);
-            // Before it is forgotten: who is killed in between counts one too many rather than one too few.
+            // Count before forgetting: a process killed in between then counts one too many rather than one too few.
             self.log.lose(u64::from(!is_end && given_up.iter().any(|next| number >= *next)));
             self.log.forget_first();
         }
     }
 
-    /// What is to be sent again now, if `alive` says that the machine that lacks it can be reached.
+    /// Returns the messages to retransmit now; `alive` says whether a machine can be reached.
     pub(crate) fn due(&mut self, now: Instant, alive: impl Fn(&str) -> bool) -> Vec<Vec<u8>> {
         if now.saturating_duration_since(self.progress) < self.resend_after {
             return Vec::new();
@@ -253,7 +255,7 @@ impl RetransmitQueue {
         self.progress = now;
         let oldest = self.oldest();
         let again = self.log.since(self.lacking(&alive));
-        // Where no message may be missed, what comes first tells the end in its turn.
+        // A lossless receiver that lacks earlier messages gets the end in its turn.
         let is_ahead = |remote: &Remote, end: &End| remote.lossless && end.number >= remote.expected;
         let is_unaware = |remote: &Remote, end: &End| !remote.ended.contains(&end.writer) && !is_ahead(remote, end);
         let is_untold = |end: &&End| self.waiting().any(|remote| is_unaware(remote, end) && alive(&remote.machine));
@@ -265,24 +267,23 @@ impl RetransmitQueue {
         messages
     }
 
-    /// Nothing more is wanted by a machine, until it acknowledges something in another run.
+    /// Notes that a machine wants nothing more, until it acknowledges something in another run.
     pub(crate) fn finish(&mut self, machine: &str, now: Instant) {
         self.receivers.iter_mut().filter(|remote| remote.machine == machine).for_each(|remote| remote.is_done = true);
         self.forget(now);
     }
 
-    /// Forgets that there was anything for a later process to send.
+    /// Removes the log's files, so that no later process sends anything again.
     pub(crate) fn close(&mut self) {
         self.log.remove_files();
     }
 
-    /// Whether everybody has what they must have, or will not get it any more. A machine that must not miss any is waited for
-    /// until its readers have heard the end ([`RetransmitQueue::finish`]).
+    /// Whether all receivers have what they must have, or will not get it any more. A lossless machine is waited for until its
+    /// readers have heard the end ([`RetransmitQueue::finish`]).
     pub(crate) fn is_settled(&self, now: Instant) -> bool {
         let impatient = self.ended_at.is_some_and(|since| now.saturating_duration_since(since) > END_PATIENCE);
         self.waiting().all(|remote| match remote.lossless {
-            // One that has told that it has all, and then falls silent, has most likely been killed while its run came to its
-            // end.
+            // A machine that has acknowledged everything and then falls silent was most likely killed at the end of its run.
             true if remote.finished >= self.next => remote.is_gone(now, END_PATIENCE),
             true => self.log.len() == 0 && remote.is_gone(now, self.outage),
             false => impatient || self.ends.iter().all(|end| remote.ended.contains(&end.writer)),

@@ -1,6 +1,6 @@
-//! The messages of a lossless edge that were sent and are not yet acknowledged. They also lie in files of the run's folder, so
-//! that the process that takes the place of a killed one sends them again; each message is there before it goes out. So does how many
-//! were given up, which decides the exit code of the run.
+//! The messages of a lossless edge that were sent and are not acknowledged yet. Each is also written to a file in the run's
+//! folder before it goes out, so that the process that replaces a killed one retransmits it. The number of messages that were
+//! given up is kept there, too; it decides the exit code of the run.
 
 use crate::wire::{StreamPosition, position_of};
 use std::collections::VecDeque;
@@ -9,7 +9,7 @@ use std::io;
 use std::os::unix::fs::FileExt;
 use std::path::PathBuf;
 
-/// No more than this is kept; a lossless writer waits meanwhile.
+/// The log keeps no more messages than this; when it is full, lossless writers wait.
 pub(crate) const CAPACITY: usize = 64;
 const CAPACITY_BYTES: usize = 16 << 20;
 
@@ -25,7 +25,7 @@ pub(crate) struct SendLog {
 }
 
 impl SendLog {
-    /// The log of a topic in this folder, with what an earlier process has left in it.
+    /// Opens the log of a topic in this folder, with the messages that an earlier process has left.
     pub(crate) fn in_folder(folder: PathBuf, topic: &str) -> Self {
         let files = Files { folder, topic: topic.replace('/', "."), open: [const { None }; CAPACITY] };
         let mut found: Vec<(StreamPosition, Vec<u8>)> =
@@ -37,7 +37,7 @@ impl SendLog {
         Self { messages, lost: files.lost(), files: Some(files) }
     }
 
-    /// A log with these messages, in memory alone.
+    /// A log with these messages, in memory only.
     #[cfg(test)]
     pub(super) fn of(messages: &[Vec<u8>]) -> Self {
         let position = |bytes: &Vec<u8>| Some((position_of(bytes).ok()?.number, bytes.clone()));
@@ -63,7 +63,7 @@ impl SendLog {
         self.messages.len() < CAPACITY && bytes < CAPACITY_BYTES
     }
 
-    /// The messages from a number on.
+    /// The messages from number `first` on.
     pub(crate) fn since(&self, first: u64) -> impl Iterator<Item = &Vec<u8>> {
         self.messages.iter().filter(move |(number, _)| *number >= first).map(|(_, bytes)| bytes)
     }
@@ -73,14 +73,14 @@ impl SendLog {
         self.messages.push_back((number, bytes.to_vec()));
     }
 
-    /// Forgets the first message; its number.
+    /// Forgets the first message and returns its number.
     pub(crate) fn forget_first(&mut self) -> Option<u64> {
         let (number, _) = self.messages.pop_front()?;
         self.with_files(|files| files.clear(number));
         Some(number)
     }
 
-    /// How many messages were given up, in all.
+    /// The number of messages that were given up, including those of earlier processes.
     pub(crate) fn lost(&self) -> u64 {
         self.lost
     }
@@ -94,14 +94,14 @@ impl SendLog {
         }
     }
 
-    /// Removes the files of messages: nobody sends them again after this process.
+    /// Removes the message files, so that no later process sends them again.
     pub(crate) fn remove_files(&mut self) {
         if let Some(files) = self.files.take() {
             (0..CAPACITY as u64).for_each(|slot| drop(std::fs::remove_file(files.path(slot))));
         }
     }
 
-    /// Without files it goes on as well; only a process that is killed would then take messages with it.
+    /// Does `work` on the files. If that fails, the log goes on in memory, and its messages are lost if the process is killed.
     fn with_files(&mut self, work: impl FnOnce(&mut Files) -> io::Result<()>) {
         if let Some(Err(error)) = self.files.as_mut().map(work) {
             tracing::warn!("what is not acknowledged is kept in memory alone: {error}");
@@ -117,7 +117,7 @@ impl Clone for SendLog {
     }
 }
 
-/// A file for each message.
+/// One file per message.
 struct Files {
     folder: PathBuf,
     topic: String,
@@ -133,19 +133,19 @@ impl Files {
         self.folder.join(format!("bridge.{}.lost.kept", self.topic))
     }
 
-    /// How many messages an earlier process has given up.
+    /// The number of messages that earlier processes gave up.
     fn lost(&self) -> u64 {
         let noted = std::fs::read(self.path_of_lost()).ok();
         noted.and_then(|bytes| bytes.try_into().ok()).map_or(0, u64::from_le_bytes)
     }
 
-    /// In one write, so that a process that is killed meanwhile leaves what it noted before.
+    /// Writes the number in one write, so that a process killed meanwhile leaves the number before.
     fn note_lost(&self, lost: u64) -> io::Result<()> {
         let file = File::options().write(true).create(true).truncate(false).open(self.path_of_lost())?;
         file.write_all_at(&lost.to_le_bytes(), 0)
     }
 
-    /// The message in a file; nothing if it is not whole.
+    /// Returns the message in a file, or `None` if it is incomplete.
     fn read(&self, slot: u64) -> Option<(StreamPosition, Vec<u8>)> {
         let bytes = std::fs::read(self.path(slot)).ok()?;
         let (length, message) = bytes.split_first_chunk::<LENGTH>()?;

@@ -1,86 +1,87 @@
 //! The receiving end of an edge's numbering: which messages are taken, and how many are gone for good.
 //!
-//! Without a key anybody can send under the name of the other machine. Where none may be missed that machine sends again what
-//! is not acknowledged, and who has forged a message most likely does not: so what the other machine does but seldom (to give
-//! messages up, to end, to begin another stream) is believed when it comes once more, and nothing has contradicted it by then.
+//! Without a key, anybody can send under the name of the other machine. On a lossless edge that machine retransmits
+//! unacknowledged messages; a forger most likely does not. So a message that the other machine sends only rarely (one that gives
+//! messages up, ends a stream or begins another) is believed when it comes a second time, if no other message has contradicted it
+//! by then.
 
 use super::send_log::CAPACITY;
 use crate::wire::StreamPosition;
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-/// Streams are numbered by the sender's clock, which may be set back: a stream that seems to be an earlier one is followed
-/// when nothing has come of the current one for so long.
+/// Streams are numbered by the sender's clock, which may be set back. A stream with a lower number is followed once nothing of
+/// the current one has come for this time.
 const STREAM_TIMEOUT: Duration = Duration::from_secs(3);
 
-/// A sender keeps so many messages, and sends nothing older again: what is farther behind shows that a message was taken before
-/// it whose number the sender has not reached.
+/// A sender keeps this many messages and retransmits nothing older. A message farther behind shows that a message was taken whose
+/// number the sender has not reached.
 const FARTHEST_BEHIND: u64 = CAPACITY as u64;
 
-/// What is in doubt is believed when it comes again after this time; the sender has it sent again by then, or soon after.
+/// A doubtful message is believed when it comes again after this time; the sender retransmits it by then, or soon after.
 const CONFIRMED_AFTER: Duration = Duration::from_millis(200);
-/// So many messages are remembered that are in doubt: more than a sender keeps.
+/// This many doubtful messages are remembered: more than a sender keeps.
 const MOST_DOUBTS: usize = 2 * CAPACITY;
 
-/// What is done with a message.
+/// The receiver's decision on a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Verdict {
-    /// It is next.
+    /// It is the next one.
     Take,
     /// It came before.
     Old,
-    /// Others have to come before it, or it has to come once more; the sender will send all of them again.
+    /// It is not its turn, or it has to come a second time; the sender retransmits all messages from the expected one on.
     Early,
 }
 
-/// What a message says of itself.
+/// The fields of a message that decide whether it is taken.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Claim {
-    /// Where it stands.
+    /// Its position in the stream.
     pub position: StreamPosition,
-    /// The start of the bridge that sends it.
+    /// The session (start) of the bridge that sends it.
     pub session: u64,
-    /// Its number among those of the stage that wrote it, where it can be read.
+    /// Its number among those of the stage that wrote it, if it can be read.
     pub number: Option<u64>,
-    /// Whether that follows the last number of that stage, as far as is known.
+    /// Whether that number follows the last number known of that stage.
     pub follows: bool,
-    /// Whether it tells nothing by being old, as an end does, which is sent until everybody knows it.
+    /// Whether its repetition is normal, as that of an end, which is sent until all receivers know it.
     pub may_be_repeated: bool,
 }
 
 impl Claim {
-    /// By which it is known again when it comes once more; what the sender keeps may be less then.
+    /// The fields that identify a repetition of it. `oldest`, `session` and `follows` may differ then.
     fn identity(&self) -> Self {
         Self { position: StreamPosition { oldest: 0, ..self.position }, follows: false, session: 0, ..*self }
     }
 }
 
-/// What was received of an edge.
+/// The receiving state of an edge.
 #[derive(Clone, Debug)]
 pub(crate) struct Sequence {
     lossless: bool,
-    /// Whether its sender made whatever comes: then nothing that comes is ahead of that sender, and what is far behind is
-    /// repeated by somebody else.
+    /// Whether codes prove the origin of each message. Then no message is ahead of its sender, and one far behind was repeated by
+    /// a third party.
     trusted: bool,
     stream: u64,
     next: u64,
-    /// The start of the sending bridge that has sent the last message of the stream.
+    /// The session of the bridge that sent the last message of the stream.
     session: u64,
     /// Stream and number that were expected before the last leap.
     left: Option<(u64, u64)>,
     lost: u64,
     misled: bool,
     refuted: bool,
-    /// Messages that are believed when they come once more, and when they came first.
+    /// Doubtful messages, which are believed when they come again, and when they first came.
     doubts: VecDeque<(Claim, Instant)>,
-    /// When something came of the stream.
+    /// When the last message of the stream came.
     came: Option<Instant>,
-    /// When something came that was new.
+    /// When the last new message came.
     new_came: Option<Instant>,
 }
 
 impl Sequence {
-    /// Of an edge of which nothing has come; `trusted` if codes show who made what comes.
+    /// Returns the state before any message; `trusted` if codes prove the origin of each message.
     pub(crate) fn new(lossless: bool, trusted: bool) -> Self {
         Self {
             lossless,
@@ -98,7 +99,7 @@ impl Sequence {
         }
     }
 
-    /// What tells two states apart, but for times, in a model.
+    /// The parts that distinguish two states in a model: all but the times.
     #[cfg(test)]
     pub(super) fn essence(&self) -> impl std::hash::Hash + PartialEq + std::fmt::Debug + use<> {
         let doubts: Vec<_> =
@@ -116,8 +117,8 @@ impl Sequence {
         position.stream == self.stream
     }
 
-    /// Whether a message counts, by the verdict on it, although it may have come before: an end that is told again does, for who
-    /// was started anew and has not heard it.
+    /// Whether a message counts as an end, given the verdict on it. A repeated end counts, too: a bridge that was restarted has
+    /// not heard it.
     pub(crate) fn is_end_to_hear(&self, position: StreamPosition, verdict: Verdict) -> bool {
         match verdict {
             Verdict::Take => true,
@@ -126,22 +127,22 @@ impl Sequence {
         }
     }
 
-    /// Messages that were sent and will not come any more.
+    /// The number of messages that were sent and will not come any more.
     pub(crate) fn lost(&self) -> u64 {
         self.lost
     }
 
-    /// Whether it has turned out, since this was asked last, that a message was taken whose number its sender had not reached.
+    /// Whether, since the last call, it has turned out that a message was taken whose number its sender had not reached.
     pub(crate) fn was_misled(&mut self) -> bool {
         std::mem::take(&mut self.misled)
     }
 
-    /// Whether it has turned out, since this was asked last, that a message in doubt was not the sender's.
+    /// Whether, since the last call, it has turned out that a doubtful message was not the sender's.
     pub(crate) fn has_refuted(&mut self) -> bool {
         std::mem::take(&mut self.refuted)
     }
 
-    /// Whether a message is to be taken; it counts as received only by [`Sequence::taken`].
+    /// Decides whether a message is to be taken. It counts as received only after [`Sequence::taken`].
     pub(crate) fn judge(&mut self, claim: Claim, now: Instant) -> Verdict {
         let position = claim.position;
         if position.stream < self.stream && !is_silent(self.came, now) {
@@ -149,7 +150,7 @@ impl Sequence {
         }
         let oldest = match (self.lossless, claim.may_be_repeated) {
             (true, false) => position.oldest.min(position.number),
-            // It is told again also when it is not kept any more.
+            // An end is repeated even when the sender does not keep it any more.
             (true, true) => position.oldest,
             (false, _) => position.number,
         };
@@ -162,9 +163,9 @@ impl Sequence {
             let before = self.left.filter(|(stream, _)| *stream == position.stream);
             self.leap(position.stream, before.map_or(oldest, |(_, next)| oldest.max(next)));
         }
-        // Where the newest wins, one way may be much slower than another: there nothing new must have come as well.
+        // With `latest`, one path may be much slower than another; so also require that nothing new has come.
         if self.is_far_behind(&claim) && (self.lossless || is_silent(self.new_came, now)) {
-            // What was taken before the leap there is not taken again, and what seemed lost by that has not been sent yet.
+            // Do not retake messages taken before the leap; do not count as lost messages that were not sent yet.
             let next = oldest.max(self.before_leap().filter(|next| *next < self.next).unwrap_or_default());
             self.lost = self.lost.saturating_sub(self.next - next);
             self.misled = true;
@@ -189,32 +190,32 @@ impl Sequence {
         Verdict::Take
     }
 
-    /// The message that was expected has been passed on.
+    /// Notes that the expected message has been passed on.
     pub(crate) fn taken(&mut self) {
         self.next = self.next.saturating_add(1);
     }
 
-    /// Whether it comes after a message was taken whose number the sender had not reached.
+    /// Whether a message is so far behind that one must have been taken whose number the sender had not reached.
     fn is_far_behind(&self, claim: &Claim) -> bool {
         let is_far = self.next.saturating_sub(claim.position.number) > FARTHEST_BEHIND;
         is_far && !self.trusted && !claim.may_be_repeated
     }
 
-    /// Whether somebody else may have sent a message, because its sender seldom sends such.
+    /// Whether a third party may have sent a message, because its sender sends such messages rarely.
     fn is_doubtful(&self, claim: &Claim, oldest: u64) -> bool {
         if self.trusted || !self.lossless || self.came.is_none() {
             return false;
         }
         let is_next = claim.position.number == self.next;
         match claim.position.stream == self.stream {
-            // A start of a bridge has one stream.
+            // A bridge sends one stream per start.
             false => claim.session == self.session,
             true if claim.position.number < self.next => claim.may_be_repeated || self.is_far_behind(claim),
             true => oldest > self.next || is_next && (claim.may_be_repeated || !claim.follows),
         }
     }
 
-    /// Whether a message in doubt came before, long enough ago for the true ones to contradict it.
+    /// Whether a doubtful message came before, so long ago that genuine messages would have contradicted it.
     fn is_confirmed(&mut self, claim: &Claim, now: Instant) -> bool {
         let claim = claim.identity();
         let Some(at) = self.doubts.iter().position(|(doubt, _)| *doubt == claim) else {
@@ -256,7 +257,7 @@ mod tests {
         take_at(sequence, StreamPosition { stream, number, oldest }, Instant::now())
     }
 
-    /// What a message at this position says that a true sender has sent, whose bridge began with that stream.
+    /// The claim of a genuine message at this position, whose bridge began with that stream.
     fn claim(position: StreamPosition) -> Claim {
         Claim {
             position,
@@ -267,7 +268,7 @@ mod tests {
         }
     }
 
-    /// The same of an end.
+    /// The same for an end.
     fn end(position: StreamPosition) -> Claim {
         Claim { may_be_repeated: true, ..claim(position) }
     }
@@ -352,7 +353,7 @@ mod tests {
 
     const LATER: Duration = Duration::from_millis(201);
 
-    /// One of whose sender nothing is certain, which has taken the numbers 0 to 99 of stream 7.
+    /// An untrusted sequence that has taken the numbers 0 to 99 of stream 7.
     fn at_work(now: Instant) -> Sequence {
         let mut sequence = Sequence::new(true, false);
         let position = |number| StreamPosition { stream: 7, number, oldest: number };
@@ -360,8 +361,8 @@ mod tests {
         sequence
     }
 
-    /// What nobody has sent who has sent 0 to 99: numbers that were not reached or are long past, another stream, an end, what
-    /// cannot be read, and a message that does not follow the last of its writer.
+    /// Messages that a sender of 0 to 99 has not sent: numbers not reached or long past, another stream, an end, an unreadable
+    /// message, and one that does not follow the last of its writer.
     fn forged() -> Vec<Claim> {
         let position = |stream, number, oldest| StreamPosition { stream, number, oldest };
         let far = [100_000, 1 << 63, u64::MAX].map(|number| claim(position(7, number, number)));
@@ -408,7 +409,7 @@ mod tests {
                 take_claim(&mut sequence, forged, now);
                 now += LATER;
             }
-            // The sender, which has sent 100 to 163 and is acknowledged nothing, sends all of them again; and so on.
+            // The sender has sent 100 to 163, gets no acknowledgement and retransmits all of them, and so on.
             let mut first = 100;
             for _ in 0..40 {
                 now += Duration::from_millis(250);
@@ -444,7 +445,7 @@ mod tests {
             let verdict = take_claim(&mut sequence, seldom, start);
             assert_eq!((verdict, sequence.expected()), (Verdict::Early, (7, 100)), "{seldom:?}");
             assert_eq!(take_claim(&mut sequence, seldom, start + CONFIRMED_AFTER), Verdict::Early, "{seldom:?}");
-            // By then the sender may keep less than before.
+            // The sender may keep fewer messages by then.
             let again = Claim {
                 position: StreamPosition { oldest: seldom.position.oldest.max(100), ..seldom.position },
                 ..seldom
@@ -460,7 +461,7 @@ mod tests {
         assert_eq!(take_claim(&mut sequence, anew, start), Verdict::Take, "its bridge was started anew");
     }
 
-    /// As a forged stream is left again, or numbers of the true one that it had not reached.
+    /// A forged stream, or a forged number of the true stream, is left again.
     #[test]
     fn what_was_taken_before_a_leap_is_not_taken_again_when_the_sender_goes_on_as_before() {
         let start = Instant::now();
@@ -471,7 +472,7 @@ mod tests {
             let forged = Claim { session: 7, ..claim(forged) };
             let told = [Duration::ZERO, LATER].map(|later| take_claim(&mut sequence, forged, start + later));
             assert_eq!(told, [Verdict::Early, Verdict::Take], "{forged:?}");
-            // The sender keeps more than it will be asked for, and is believed when it has said so twice.
+            // The sender goes back to numbers before the leap; it is believed when these have come twice.
             let mut taken = Vec::new();
             for (number, later) in [(99, STREAM_TIMEOUT), (99, STREAM_TIMEOUT + LATER), (100, STREAM_TIMEOUT + LATER)] {
                 let back = claim(StreamPosition { stream: 7, number, oldest: 95 });

@@ -1,17 +1,17 @@
-//! How much may be under way on an edge where the newest wins: as much as the link carries without a queue.
+//! The window of an edge with `latest`: limits the messages under way to what the link carries without a queue.
 //!
-//! What waits in a queue is old when it comes, and whatever else takes that link waits behind it. So the number of messages
-//! under way grows by one with each that is acknowledged in time, and is halved when one took longer than the link's own
-//! round trip, a retransmission and a short wait explain.
+//! Messages in a queue are old when they arrive, and other traffic on the link waits behind them. So the window grows by one for
+//! each message that is acknowledged in time. It is halved when a message took longer than two round trips of the link and a
+//! short wait.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-/// More than this is never under way.
+/// Upper limit of the window.
 const MAX_MESSAGES: usize = 64;
-/// What was not acknowledged after this time is lost.
+/// A message that was not acknowledged after this time counts as lost.
 const SURELY_LOST: Duration = Duration::from_secs(1);
-/// No round trip is taken to be longer.
+/// Upper limit of the round trip that is assumed.
 const MAX_ROUND_TRIP: Duration = Duration::from_millis(400);
 
 /// The messages of one edge that are under way.
@@ -19,14 +19,14 @@ const MAX_ROUND_TRIP: Duration = Duration::from_millis(400);
 pub(crate) struct Window {
     under_way: VecDeque<(u64, Instant)>,
     size: usize,
-    /// How long a message may wait on the way.
+    /// How long a message may wait on the way, besides two round trips.
     wait: Duration,
     /// Messages before this one say nothing new about the queue.
     judged_from: u64,
 }
 
 impl Window {
-    /// Messages that may wait for `wait`; those that may wait for less give way to the others.
+    /// Returns a window for messages that may wait for `wait`; edges with a shorter wait yield to those with a longer one.
     pub(crate) fn new(wait: Duration) -> Self {
         Self { under_way: VecDeque::new(), size: 1, wait, judged_from: 0 }
     }
@@ -35,7 +35,7 @@ impl Window {
         self.under_way.push_back((number, now));
     }
 
-    /// All messages before `next` have arrived, over a link of this round trip, or are lost.
+    /// Notes that all messages before `next` have arrived or are lost, over a link of this round trip.
     pub(crate) fn acknowledge(&mut self, next: u64, round_trip: Duration, now: Instant) {
         let limit = 2 * round_trip.min(MAX_ROUND_TRIP) + self.wait;
         while let Some(&(number, sent)) = self.under_way.front() {
@@ -57,7 +57,7 @@ impl Window {
         }
     }
 
-    /// Nobody is there: whatever is under way will not arrive.
+    /// Empties the window, because no receiver is connected and nothing under way will arrive.
     pub(crate) fn clear(&mut self) {
         self.under_way.clear();
         self.size = 1;
@@ -78,7 +78,7 @@ mod tests {
     const SOON: Duration = Duration::from_millis(500);
     const LATE: Duration = Duration::from_millis(501);
 
-    /// Sends as many as may be sent; returns the number of the next.
+    /// Sends messages until the window is full; returns the next number.
     fn fill(window: &mut Window, mut number: u64, now: Instant) -> u64 {
         while window.is_open() {
             window.sent(number, now);

@@ -1,20 +1,20 @@
-//! What goes with each message of `rmw_zenoh_cpp`: its number, when it was sent, and by which end. A node of ROS 2 ends when a
-//! message lacks it.
+//! The attachment of each message of `rmw_zenoh_cpp`: the message's number, its time, and its publisher. A ROS 2 node crashes on
+//! a message without it.
 //!
-//! It is 33 bytes: two numbers of 64 bits, least significant byte first, the length 16, and the end. Jazzy's 0.2.0 to 0.2.3
-//! have the name of each before it, with its length.
+//! It has 33 bytes: two little-endian 64-bit integers, the length 16, and the publisher's id. In Jazzy's versions 0.2.0 to 0.2.3
+//! each field is preceded by its name, with the name's length.
 
 const NAMES: [&[u8]; 3] = [b"\x0fsequence_number", b"\x10source_timestamp", b"\x0asource_gid"];
 const END_BYTES: usize = 16;
 
-/// What goes with a message.
+/// The attachment of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Attachment {
     /// Number of the message, from 1.
     pub sequence: i64,
     /// When it was sent, in nanoseconds since the Unix epoch.
     pub sent_ns: i64,
-    /// Tells the end from all others.
+    /// The unique id of the publisher.
     pub end: [u8; END_BYTES],
 }
 
@@ -24,7 +24,7 @@ impl Attachment {
         [numbers.as_flattened(), &[END_BYTES as u8], &self.end].concat()
     }
 
-    /// Reads both forms; nothing where it is neither.
+    /// Decodes either form; returns `None` if it is neither.
     pub(super) fn read(bytes: &[u8]) -> Option<Self> {
         let is_named = bytes.starts_with(NAMES[0]);
         let name = |bytes: &mut &[u8], name| {

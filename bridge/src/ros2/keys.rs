@@ -1,19 +1,19 @@
-//! How ROS 2 names its topics, nodes and ends of topics in Zenoh: the key of a topic's messages, and the liveliness tokens by
-//! which the others know who is there.
+//! The names of ROS 2 topics, nodes and endpoints in Zenoh: the key of a topic's messages, and the liveliness tokens that
+//! announce a node and its endpoints.
 //!
 //! | | `rmw_zenoh_cpp` | `zenoh-plugin-ros2dds` |
 //! |---|---|---|
 //! | key | `DOMAIN/TOPIC/TYPE/HASH` | `TOPIC` |
 //! | token of a node | `@ros2_lv/DOMAIN/ZID/NODE/NODE/NN/%/%/NAME` | none |
-//! | token of an end | `@ros2_lv/DOMAIN/ZID/NODE/END/MP/%/%/NAME/TOPIC/TYPE/HASH/QOS` | `@/ZID/@ros2_lv/MP/TOPIC/TYPE/QOS` |
+//! | token of an endpoint | `@ros2_lv/DOMAIN/ZID/NODE/END/MP/%/%/NAME/TOPIC/TYPE/HASH/QOS` | `@/ZID/@ros2_lv/MP/TOPIC/TYPE/QOS` |
 //!
-//! A topic stands in a key without its first slash, and in a token with `%` or `§` in place of all; `MP` publishes, `MS`
-//! subscribes.
+//! A key contains the topic without its first slash; a token contains it with `%` or `§` in place of each slash. `MP` is a
+//! publisher, `MS` a subscriber.
 //!
-//! From Lyrical on, publishers of `rmw_zenoh_cpp` send messages with a `uint8[]` in them below the key of the topic: those for
-//! all who have no memory of their own for it at `KEY/_buf_cpu`, if the token of each subscriber says so by `/backends:cpu:` at
-//! its end, which the distributions before do not look at. They still send at the key itself where anybody else listens. A
-//! message that goes to several keys below the one of the topic has another number at each.
+//! From Lyrical on, publishers of `rmw_zenoh_cpp` send messages that contain a `uint8[]` below the key of the topic: for
+//! subscribers without a memory backend of their own at `KEY/_buf_cpu`, if the token of each subscriber ends with
+//! `/backends:cpu:`, which earlier distributions ignore. They also send at the key itself if there are other subscribers. A
+//! message that goes to several keys below that of the topic has a different number at each.
 //!
 //! Sources: ros2/rmw_zenoh `docs/design.md`, `liveliness_utils.cpp`, `buffer_endpoint_helpers.hpp`, `rmw_publisher_data.cpp`;
 //! zenoh-plugin-ros2dds `liveliness_mgt.rs`.
@@ -21,23 +21,23 @@
 use conicflow_ros::Definition;
 use conicflow_ros2::{Distro, End, Participant, Published, Via, Way};
 
-/// What stands in place of an empty namespace or enclave.
+/// Stands for an empty namespace or enclave.
 const EMPTY: &str = "%";
-/// What Humble has in place of the number of a type.
+/// Humble's placeholder for the hash of a type.
 const NO_HASH: &str = "TypeHashNotSupported";
-/// Where messages for those without memory of their own come, below the key of the topic.
+/// Below the key of a topic, where subscribers without a memory backend get their messages.
 const OF_NO_MEMORY: &str = "_buf_cpu";
-/// What ends the token of a subscriber that takes them there.
+/// Ends the token of a subscriber that takes messages there.
 const NO_MEMORY: &str = "/backends:cpu:";
 /// The number of our node in its session.
 const NODE: usize = 0;
 
-/// The names of a participant in Zenoh.
+/// The Zenoh names of a participant.
 pub(super) struct Keys<'a>(pub &'a Participant);
 
 impl Keys<'_> {
-    /// The key by which messages are sent or taken at an end. Those with any number of the type are taken: whether we can read
-    /// them they tell themselves.
+    /// The key under which an endpoint publishes or subscribes. A subscriber accepts any hash of the type: messages themselves
+    /// show whether we can decode them.
     pub(super) fn key(&self, End { topic, definition, way }: &End) -> String {
         let topic = topic.trim_matches('/');
         if self.0.via == Via::Ros2dds {
@@ -47,19 +47,19 @@ impl Keys<'_> {
         format!("{}/{topic}/{}/{hash}", self.0.domain, dds_name(definition.name))
     }
 
-    /// All keys at which messages come for an end.
+    /// All keys that an endpoint subscribes to.
     pub(super) fn keys_to_take(&self, end: &End) -> Vec<String> {
         let key = self.key(end);
         let below = self.takes_below(end).then(|| format!("{key}/{OF_NO_MEMORY}"));
         std::iter::once(key).chain(below).collect()
     }
 
-    /// Whether messages for this end may come below its key.
+    /// Whether messages for this endpoint may come below its key.
     fn takes_below(&self, End { definition, way, .. }: &End) -> bool {
         self.0.via == Via::RmwZenoh && matches!(way, Way::Subscribe(_)) && definition.text.contains("uint8[] ")
     }
 
-    /// The tokens of the node and its ends, in a session that is called `zid`.
+    /// The tokens of the node and its endpoints; `zid` is the id of the session.
     pub(super) fn tokens(&self, zid: &str) -> Vec<String> {
         let Participant { domain, name, ends, .. } = self.0;
         if self.0.via == Via::Ros2dds {
@@ -78,7 +78,7 @@ impl Keys<'_> {
 
     fn ros2dds_token(&self, zid: &str, End { topic, definition, way }: &End) -> String {
         let (topic, kind) = (topic.trim_matches('/').replace('/', "§"), definition.name.replace('/', "§"));
-        // Keyless; 1 reliable or 0 at best; 0 volatile or 1 transient local; the last of so many.
+        // Keyless; 1 reliable or 0 best effort; 0 volatile or 1 transient local; history: keep the last 10.
         let quality = match way {
             Way::Publish => ":1:0:0,10",
             Way::Subscribe(_) => ":0:0:0,10",
@@ -91,7 +91,7 @@ impl Keys<'_> {
         format!("@/{zid}/@ros2_lv/{}/{topic}/{kind}/{quality}{user_data}", letters(*way))
     }
 
-    /// The tokens of all who publish.
+    /// A key expression that matches the tokens of all publishers.
     pub(super) fn tokens_of_publishers(&self) -> String {
         match self.0.via {
             Via::RmwZenoh => format!("@ros2_lv/{}/*/*/*/MP/**", self.0.domain),
@@ -99,7 +99,7 @@ impl Keys<'_> {
         }
     }
 
-    /// What the token of a publisher tells.
+    /// Returns the topic and type of a publisher's token.
     pub(super) fn published(&self, token: &str) -> Option<Published> {
         let parts: Vec<_> = token.split('/').collect();
         match (self.0.via, &parts[..]) {
@@ -118,12 +118,12 @@ impl Keys<'_> {
     }
 }
 
-/// Whether a message came below the key of its topic.
+/// Whether a message with this key came below the key of its topic.
 pub(super) fn comes_below(key: &str) -> bool {
     key.rsplit('/').next() == Some(OF_NO_MEMORY)
 }
 
-/// What the caches of publishers answer to, of messages that were sent before.
+/// The key expression for querying the caches of publishers for earlier messages.
 pub(super) fn key_of_caches(key: &str) -> String {
     format!("{key}/@adv/**")
 }
@@ -132,8 +132,8 @@ fn letters(way: Way) -> &'static str {
     if way == Way::Publish { "MP" } else { "MS" }
 }
 
-/// How well an end delivers: reliability, durability, depth, deadline, lifespan, liveliness; what is usual is left out. 2 stands
-/// for at best, 1 for transient local.
+/// The QoS of an endpoint: reliability, durability, depth, deadline, lifespan, liveliness; defaults are left empty. 2 stands for
+/// best effort, 1 for transient local.
 fn quality(way: Way) -> &'static str {
     match way {
         Way::Publish => "::,10:,:,:,,",
@@ -142,13 +142,13 @@ fn quality(way: Way) -> &'static str {
     }
 }
 
-/// `sensor_msgs/msg/Image` as DDS has it: `sensor_msgs::msg::dds_::Image_`.
+/// Returns the DDS name of a type: `sensor_msgs::msg::dds_::Image_` for `sensor_msgs/msg/Image`.
 fn dds_name(name: &str) -> String {
     let (package, kind) = name.rsplit_once('/').unwrap_or(("", name));
     format!("{}::dds_::{kind}_", package.replace('/', "::"))
 }
 
-/// The reverse.
+/// Returns the ROS name of a DDS type.
 fn ros_name(name: &str) -> String {
     name.replace("dds_::", "").replace("::", "/").trim_end_matches('_').to_owned()
 }
@@ -176,7 +176,7 @@ mod tests {
         Participant { connect: Vec::new(), domain: 7, distro, via, name: "conicflow_ros".to_owned(), ends }
     }
 
-    /// Whether who asks who publishes is told of this token.
+    /// Whether the query for publishers matches this token.
     fn is_asked_for(keys: &Keys<'_>, token: &str) -> bool {
         keyexpr::new(&keys.tokens_of_publishers()).unwrap().includes(keyexpr::new(token).unwrap())
     }

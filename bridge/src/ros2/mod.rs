@@ -1,7 +1,8 @@
-//! Taking part in ROS 2 over Zenoh, as `rmw_zenoh_cpp` and `zenoh-plugin-ros2dds` speak it ([`keys`], [`attachment`]).
+//! Participation in ROS 2 over Zenoh, with the conventions of `rmw_zenoh_cpp` and `zenoh-plugin-ros2dds` ([`keys`],
+//! [`attachment`]).
 //!
-//! The session is a client of the robot's router: it listens nowhere, and reaches nobody but the router that the file names. It
-//! is opened in a thread, tried again until that works, and Zenoh opens its link again where that was lost.
+//! The session is a client of the robot's router: it listens nowhere and reaches only the routers that the file names. A thread
+//! opens it and retries until that works; Zenoh reopens a lost link.
 
 mod attachment;
 mod keys;
@@ -26,7 +27,7 @@ use zenoh::query::{ConsolidationMode, QueryTarget, ReplyKeyExpr};
 use zenoh::sample::Sample;
 use zenoh::{Session, Wait};
 
-/// The nodes that this program runs for the one that lists them.
+/// The ROS 2 nodes, which this program runs for the program that only lists them.
 pub const NODES: &[Node] = &[
     Node::source::<Ros2Source<ZenohMiddleware>>(),
     Node::stages::<Ros2Sink<Track, ZenohMiddleware>>(&[
@@ -37,25 +38,25 @@ pub const NODES: &[Node] = &[
 
 /// A session that cannot be opened is tried again after this time.
 const OPEN_AGAIN: Duration = Duration::from_secs(1);
-/// How often is looked whether the router is still reached.
+/// How often the connection to the router is checked.
 const ROUTER_CHECK_PERIOD: Duration = Duration::from_millis(100);
-/// How long an answer is waited for, of those who publish.
+/// Timeout for the answers of publishers.
 const ANSWER: Duration = Duration::from_secs(1);
-/// Publishers of a topic whose numbers are compared; others are taken as they come.
+/// Number of publishers of a topic whose message numbers are compared; messages of others are accepted without that.
 const MOST_COMPARED: usize = 64;
-/// A publisher that leaves out more numbers than this has not lost as many messages: it counts otherwise.
+/// A longer step in a publisher's numbers does not count as lost messages: the publisher numbers differently.
 const LONGEST_STEP: u64 = 100_000;
-/// So many tokens are looked at.
+/// At most this many tokens are read.
 const MOST_TOKENS: usize = 10_000;
 
-/// A participant's messages over Zenoh.
+/// A participant that communicates over Zenoh.
 pub struct ZenohMiddleware {
     participant: Arc<Participant>,
     inboxes: Arc<Vec<Inbox>>,
     joined: Arc<Joined>,
 }
 
-/// The session, as soon as there is one.
+/// The session, once it is open.
 #[derive(Default)]
 struct Joined {
     session: OnceLock<Ends>,
@@ -63,14 +64,14 @@ struct Joined {
 }
 
 impl Joined {
-    /// Notes whether the router is reached; whether it is there anew, having been away or not been there before.
+    /// Notes whether the router is reached; returns whether that is new.
     fn note(&self, is_reached: bool) -> bool {
         let was_reached = self.is_reached.swap(is_reached, Ordering::Relaxed);
         is_reached && !was_reached
     }
 }
 
-/// What a session holds for its participant. The session is the last that is dropped, and closed by that.
+/// The Zenoh objects of a participant. The session is dropped last, which closes it.
 struct Ends {
     publishers: Vec<Option<Outbox>>,
     _subscribers: Vec<Subscriber<()>>,
@@ -78,18 +79,18 @@ struct Ends {
     session: Session,
 }
 
-/// The end of a topic that is published.
+/// The publisher of a topic.
 struct Outbox {
     publisher: Publisher<'static>,
     sequence: AtomicI64,
     end: [u8; 16],
 }
 
-/// What has come at an end.
+/// The received messages of an endpoint.
 struct Inbox {
     messages: Channel<ZBytes>,
     lost: AtomicU64,
-    /// The number of the last message of each publisher; none where nothing follows from it.
+    /// The number of the last message of each publisher; `None` if that message was not numbered one by one.
     numbers: Mutex<BTreeMap<[u8; 16], Option<i64>>>,
 }
 
@@ -103,7 +104,7 @@ impl Inbox {
         Self { messages: Channel::new(capacity, true), lost: AtomicU64::new(0), numbers: Mutex::default() }
     }
 
-    /// Called by threads of Zenoh, which must not wait.
+    /// Takes a message. Threads of Zenoh call this, so it must not block.
     fn take(&self, sample: &Sample) {
         let attachment = sample.attachment().and_then(|bytes| Attachment::read(&bytes.to_bytes()));
         let is_numbered = !comes_below(sample.key_expr());
@@ -112,8 +113,8 @@ impl Inbox {
         self.lost.fetch_add(missing + u64::from(is_overwritten), Ordering::Relaxed);
     }
 
-    /// Messages that the same publisher has sent since the last that came. Those below the key of the topic are not numbered one
-    /// by one: a publisher numbers what it sends to each who has a memory of their own for it, at keys that nobody else takes.
+    /// Returns how many messages of the same publisher are missing since the last one that came. Messages below the key of the
+    /// topic are not numbered one by one: the publisher also numbers those for subscribers with a memory backend, at other keys.
     fn missing_before(&self, Attachment { sequence, end, .. }: Attachment, is_numbered: bool) -> u64 {
         let mut numbers = lock(&self.numbers);
         if numbers.len() >= MOST_COMPARED && !numbers.contains_key(&end) {
@@ -161,7 +162,7 @@ impl Middleware for ZenohMiddleware {
         let Some(outbox) = ends.and_then(|ends| ends.publishers[end].as_ref()) else { return };
         let sequence = outbox.sequence.fetch_add(1, Ordering::Relaxed);
         let attachment = Attachment { sequence, sent_ns: unix_ns().cast_signed(), end: outbox.end };
-        // It succeeds with nobody there; that the session is closed is told by `is_joined`.
+        // A put succeeds without any receiver; a closed session shows in `is_joined`.
         outbox.publisher.put(message).attachment(attachment.to_bytes()).wait().ok();
     }
 
@@ -178,7 +179,7 @@ impl Middleware for ZenohMiddleware {
     }
 }
 
-/// Opens the session and looks after it, as long as anybody needs it.
+/// The thread that opens the session and watches it, as long as the middleware exists.
 struct Keeper {
     participant: Arc<Participant>,
     inboxes: Arc<Vec<Inbox>>,
@@ -206,7 +207,7 @@ impl Keeper {
         }
     }
 
-    /// Looks whether the router is reached; when it is there anew, asks for what was sent before.
+    /// Checks whether the router is reached; once it is reached again, asks for earlier messages.
     fn look(&self, joined: &Joined, ends: &Ends) {
         if joined.note(reaches_anybody(&ends.session)) {
             self.ask_for_latched(&ends.session);
@@ -238,7 +239,7 @@ impl Keeper {
         Ok(Ends { publishers, _subscribers: subscribers, _tokens: tokens, session })
     }
 
-    /// Asks the caches of publishers for what they sent before we came.
+    /// Queries the caches of publishers for messages sent before this session.
     fn ask_for_latched(&self, session: &Session) {
         for (number, end) in self.participant.ends.iter().enumerate() {
             if !matches!(end.way, Way::SubscribeLatched(_)) {
@@ -247,14 +248,14 @@ impl Keeper {
             let inboxes = Arc::clone(&self.inboxes);
             let key = key_of_caches(&Keys(&self.participant).key(end));
             let query = session.get(key).target(QueryTarget::All).consolidation(ConsolidationMode::None);
-            // They answer with messages of the topic, whose key is not below the one that is asked.
+            // The replies are messages of the topic, whose key is not below the queried one.
             let query = query.accept_replies(ReplyKeyExpr::Any);
             let asked = query.timeout(ANSWER).callback(move |reply| {
                 if let Ok(sample) = reply.into_result() {
                     inboxes[number].take(&sample);
                 }
             });
-            // What answers nothing is as one that was not asked: new messages come by themselves.
+            // A failed query is ignored: new messages come by themselves.
             asked.wait().ok();
         }
     }
@@ -290,7 +291,7 @@ mod tests {
         assert_eq!(lock(&inbox.numbers).len(), MOST_COMPARED);
     }
 
-    /// A middleware that has reached nobody yet, with one end.
+    /// A middleware with one endpoint and no session yet.
     fn middleware(way: Way) -> ZenohMiddleware {
         let (topic, definition) = ("/camera/depth/image".to_owned(), IMAGE);
         let participant = Participant {
@@ -386,7 +387,7 @@ mod tests {
         assert_eq!(told.map(|(_, is_joined)| is_joined), looks);
     }
 
-    /// A publisher of Lyrical gives each message below the key three numbers where two more take it in memory of their own.
+    /// A publisher of Lyrical uses three numbers per message if two other subscribers take it with memory backends.
     #[test]
     fn numbers_that_went_to_other_keys_are_not_missing() {
         let inbox = Inbox::new(Way::Subscribe(1));

@@ -1,8 +1,8 @@
-//! How the items of each type go over the wire, behind the header of their message ([`wire`](super)).
+//! The codecs of the item types: the body of a message behind its header ([`wire`](super)).
 //!
-//! Images and ellipses have compressors of their own ([`depth_codec`], [`ellipse_codec`]), objects and tracks go in bincode.
-//! Items of any other type go as they lie in memory: a byte for the compression, how many there are as a little-endian `u32`, and
-//! their bytes, of long lists compressed. Their layout has no holes, and both machines have the same.
+//! Images and ellipses have their own compressors ([`depth_codec`], [`ellipse_codec`]); objects and tracks are in bincode. Items
+//! of any other type are sent as in memory: a byte for the compression, their count as a little-endian `u32`, and their bytes,
+//! compressed if the lists are long. Their layout has no padding, and both machines have the same one.
 
 use super::compression::{of_tag, pack, tag_of, unpack};
 use super::encoding::{MAX_MESSAGE, WireError, decode_whole, encode};
@@ -17,17 +17,17 @@ use serde::de::DeserializeOwned;
 #[cfg(target_endian = "big")]
 compile_error!("items go over the wire as they lie in memory, with the lowest byte of a number first");
 
-/// No image that goes to another machine has more pixels than this.
+/// The most pixels of an image that goes to another machine.
 const MAX_WIRE_PIXELS: u64 = 16 << 20;
 
-/// A type of items with a form of its own on the wire: by default bincode's.
+/// A type of items with its own encoding on the wire; by default that of bincode.
 trait Form: Item + Serialize + DeserializeOwned {
     /// Appends the body of a message.
     fn encode_body(_: &Header, items: &[Self], _: Compression, bytes: &mut Vec<u8>) -> Result<(), WireError> {
         encode(&items, bytes)
     }
 
-    /// Reads the body of a message into `items`.
+    /// Decodes the body of a message into `items`.
     fn decode_body(_: &Header, bytes: &[u8], items: &mut Vec<Self>) -> Result<(), WireError> {
         *items = decode_whole(bytes)?;
         Ok(())
@@ -84,25 +84,25 @@ fn check_pixels(header: &Header) -> Result<(), WireError> {
     Ok(())
 }
 
-/// How a body is compressed, and what follows.
+/// Returns the compression of a body, and the bytes that follow.
 fn split_compression(bytes: &[u8]) -> Result<(Compression, &[u8]), WireError> {
     let (&tag, packed) = bytes.split_first().ok_or_else(|| WireError::Broken("no body".to_owned()))?;
     Ok((of_tag(tag).map_err(WireError::Broken)?, packed))
 }
 
-/// Makes bytes for the wire of the items of one type, and items of such bytes.
+/// Encodes and decodes the items of one type.
 pub(crate) trait Codec: Send {
-    /// Appends the body of a message with these items, as they lie in memory.
+    /// Appends the body of a message with these items, which are as in memory.
     fn encode(&self, header: &Header, items: &[u8], how: Compression, bytes: &mut Vec<u8>) -> Result<(), WireError>;
 
-    /// Reads and checks the items in the body of a message.
+    /// Decodes and checks the items in the body of a message.
     fn decode(&mut self, header: &Header, bytes: &[u8]) -> Result<(), WireError>;
 
-    /// The items that were read last, as they lie in memory.
+    /// The items that were decoded last, as in memory.
     fn items(&self) -> &[u8];
 }
 
-/// The codec of a type.
+/// Returns the codec of a type.
 pub(crate) fn codec_of(item: &ItemType) -> Box<dyn Codec> {
     match item.name() {
         u16::NAME => Box::new(Known::<u16>(Vec::new())),
@@ -113,7 +113,7 @@ pub(crate) fn codec_of(item: &ItemType) -> Box<dyn Codec> {
     }
 }
 
-/// Items with a form of their own on the wire.
+/// The codec of a type with its own encoding.
 struct Known<T>(Vec<T>);
 
 impl<T: Form> Codec for Known<T> {
@@ -121,7 +121,7 @@ impl<T: Form> Codec for Known<T> {
         if let Ok(items) = try_cast_slice(items) {
             return T::encode_body(header, items, how, bytes);
         }
-        // They lie where bytes may.
+        // The bytes are not aligned for the type.
         let whole = items.len() / size_of::<T>();
         let mut aligned = vec![T::zeroed(); whole];
         cast_slice_mut(&mut aligned).copy_from_slice(&items[..whole * size_of::<T>()]);
@@ -138,7 +138,7 @@ impl<T: Form> Codec for Known<T> {
     }
 }
 
-/// Items as they lie in memory.
+/// The codec of all other types: items as in memory.
 struct AsInMemory {
     item: ItemType,
     items: Vec<u8>,
@@ -183,7 +183,7 @@ mod tests {
         Header { camera, depth_scale: 0.001, ..Header::default() }
     }
 
-    /// What comes back of items, as they lie in memory.
+    /// Encodes and decodes items; returns them as in memory.
     fn sent(item: &ItemType, items: &[u8]) -> Result<Vec<u8>, WireError> {
         let (mut codec, mut bytes) = (codec_of(item), Vec::new());
         codec.encode(&header(), items, Compression::Zstd, &mut bytes)?;

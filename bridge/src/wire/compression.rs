@@ -1,4 +1,4 @@
-//! The compressors that an edge between machines may ask for. On the wire each has a number.
+//! The compression methods of edges between machines, and their numbers on the wire.
 
 use conicflow_dataflow::pipeline::Compression;
 
@@ -23,7 +23,7 @@ pub(super) fn of_tag(tag: u8) -> Result<Compression, String> {
     }
 }
 
-/// The bytes, packed.
+/// Compresses bytes.
 pub(super) fn pack(how: Compression, bytes: &[u8]) -> Result<Vec<u8>, String> {
     match how {
         Compression::None => Ok(bytes.to_vec()),
@@ -32,7 +32,7 @@ pub(super) fn pack(how: Compression, bytes: &[u8]) -> Result<Vec<u8>, String> {
     }
 }
 
-/// The `length` bytes that were packed.
+/// Decompresses bytes and checks that there are `length` of them.
 pub(super) fn unpack(how: Compression, packed: &[u8], length: usize) -> Result<Vec<u8>, String> {
     let unpacked = match how {
         Compression::None => packed.to_vec(),

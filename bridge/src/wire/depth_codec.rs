@@ -1,10 +1,10 @@
-//! Depth images in fewer bytes, without loss: neighbouring pixels differ by little, so the differences along each row are
-//! stored, small numbers first whatever their sign, their low bytes before their high ones, and that is compressed.
+//! Lossless compression of depth images. Neighbouring pixels differ little, so the differences along each row are zigzag-coded,
+//! split into a plane of low bytes and one of high bytes, and compressed.
 
 use super::compression::{pack, unpack};
 use conicflow_dataflow::pipeline::Compression;
 
-/// Appends the pixels of an image of `width` columns to `bytes`.
+/// Appends the compressed pixels of an image of `width` columns to `bytes`.
 pub(super) fn compress(pixels: &[u16], width: usize, how: Compression, bytes: &mut Vec<u8>) -> Result<(), String> {
     if how == Compression::None {
         bytes.extend(pixels.iter().flat_map(|pixel| pixel.to_le_bytes()));
@@ -14,7 +14,7 @@ pub(super) fn compress(pixels: &[u16], width: usize, how: Compression, bytes: &m
     Ok(())
 }
 
-/// The pixels of an image of `width` times `height`; `pixels` is overwritten.
+/// Decompresses the pixels of an image of `width` times `height` into `pixels`, which is overwritten.
 pub(super) fn decompress(
     bytes: &[u8],
     (width, height): (usize, usize),
@@ -31,7 +31,7 @@ pub(super) fn decompress(
     Ok(())
 }
 
-/// Differences along the rows: all low bytes, then all high bytes.
+/// Returns the differences along the rows: all low bytes, then all high bytes.
 fn split(pixels: &[u16], width: usize) -> Vec<u8> {
     let (mut low, mut high) = (Vec::with_capacity(2 * pixels.len()), Vec::with_capacity(pixels.len()));
     for row in pixels.chunks(width.max(1)) {
@@ -58,7 +58,7 @@ fn join(planes: &[u8], width: usize, pixels: &mut Vec<u16>) {
     }
 }
 
-/// 0, -1, 1, -2, 2.. as 0, 1, 2, 3, 4..
+/// Maps 0, -1, 1, -2, 2.. to 0, 1, 2, 3, 4..
 fn zigzag(difference: u16) -> u16 {
     let sign = if difference & 0x8000 == 0 { 0 } else { u16::MAX };
     (difference << 1) ^ sign

@@ -1,12 +1,12 @@
-//! Lists of ellipses in fewer bytes, without loss.
+//! Lossless compression of lists of ellipses.
 //!
-//! Most of an ellipse follows from the rest: a circle has one radius, its centre in the camera frame lies on the plane of its
-//! scan line, its depths are whole numbers of the sensor's units. What follows is [`expected`] on both sides, and only the
-//! difference is sent, 0 nearly always; where it does not follow, the difference is no longer than the number. Whole numbers
-//! go as differences from the ellipse before. What is left is ordered by significance, the first bytes of all numbers before
-//! their second ones, number by number, so that bytes which are alike lie side by side, and that is compressed: a `u32` of
-//! how many ellipses there are, then for each of the eight significances, the highest first, a `u32` of its length and its
-//! bytes, all little-endian.
+//! Most numbers of an ellipse follow from the others: a circle has one radius; its centre in the camera frame lies on the plane
+//! of its scan line; its depths are whole multiples of the sensor's unit. Both sides compute such numbers as [`expected`], and
+//! only the difference of the bits is sent, which is 0 nearly always and otherwise no longer than the number. Integers are sent
+//! as differences from the ellipse before. The resulting words are ordered by significance: the highest bytes of all words,
+//! number by number, then their second ones and so on, so that equal bytes stand side by side. The compressed list is a `u32`
+//! with the count of ellipses, then for each of the eight significances, the highest first, a `u32` with its length and its
+//! compressed bytes, all little-endian.
 
 use super::compression::{pack, unpack};
 use super::encoding::MAX_MESSAGE;
@@ -18,12 +18,12 @@ use std::ops::Range;
 
 const WHOLE: usize = 8;
 const REAL: usize = real_at(size_of::<Ellipse>());
-/// The places of `beyond` among the real numbers.
+/// The indices of `beyond` among the real numbers.
 const BEYOND: Range<usize> = real_at(offset_of!(Ellipse, beyond))..real_at(offset_of!(Ellipse, contour));
-/// Significances of a number.
+/// The number of bytes, by significance, of a word.
 const LEVELS: usize = 8;
 
-/// An [`Ellipse`] as the numbers it consists of.
+/// An [`Ellipse`] as an array of numbers.
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 struct Numbers {
@@ -33,15 +33,15 @@ struct Numbers {
 
 const _: () = assert!(size_of::<Numbers>() == size_of::<Ellipse>());
 
-/// How many real numbers there are before the byte `at` of an ellipse.
+/// The number of real numbers before byte `at` of an ellipse.
 const fn real_at(at: usize) -> usize {
     (at - WHOLE * size_of::<u32>()) / size_of::<f64>()
 }
 
-/// The same as what is compressed: small, or equal to others, where that can be.
+/// The words of an ellipse that are compressed: small, or equal to others, where possible.
 type Words = [u64; WHOLE + REAL];
 
-/// Appends a list to `bytes`.
+/// Appends a compressed list to `bytes`.
 pub(super) fn compress(
     header: &Header,
     items: &[Ellipse],
@@ -66,7 +66,7 @@ fn length_of<V>(values: &[V]) -> Result<[u8; 4], String> {
     u32::try_from(values.len()).map(u32::to_le_bytes).map_err(|error| error.to_string())
 }
 
-/// Reads a list; `items` is overwritten.
+/// Decompresses a list into `items`, which is overwritten.
 pub(super) fn decompress(
     header: &Header,
     mut bytes: &[u8],
@@ -126,7 +126,7 @@ fn from_words(header: &Header, words: &Words, before: &mut [u32; WHOLE]) -> Elli
         let word = words[WHOLE + index];
         *real = if BEYOND.contains(&index) { from_steps(word, header.depth_scale) } else { f64::from_bits(word) };
     }
-    // Only numbers of which nothing is expected are asked for what to expect: these are right already.
+    // `expected` uses only numbers for which nothing is expected: these are decoded already.
     let expected = expected(header, &bytemuck::cast(numbers));
     for (real, expected) in numbers.real.iter_mut().zip(expected.real) {
         *real = f64::from_bits(real.to_bits().wrapping_add(expected.to_bits()));
@@ -134,8 +134,8 @@ fn from_words(header: &Header, words: &Words, before: &mut [u32; WHOLE]) -> Elli
     bytemuck::cast(numbers)
 }
 
-/// What some numbers of an ellipse let expect of the others, from basic arithmetic, which is the same on every machine; 0
-/// where nothing is expected.
+/// Returns the numbers of an ellipse that follow from the others, by basic arithmetic, which is the same on every machine; 0 for
+/// numbers that do not follow.
 fn expected(header: &Header, item: &Ellipse) -> Numbers {
     let radius = item.semi_axes[0];
     let mut moments = [0.0; conicflow_messages::MOMENTS];
@@ -152,7 +152,7 @@ fn expected(header: &Header, item: &Ellipse) -> Numbers {
     bytemuck::cast(circle)
 }
 
-/// The centre in the camera frame, from that in the plane of the scan line.
+/// Returns the centre in the camera frame from the centre in the plane of the scan line.
 fn center(header: &Header, item: &Ellipse) -> [f64; 3] {
     let ([s, t], line, camera) = (item.plane_center, f64::from(item.line), &header.camera);
     let slope = match item.direction() {
@@ -167,8 +167,8 @@ fn center(header: &Header, item: &Ellipse) -> [f64; 3] {
     }
 }
 
-/// A number of steps of this length, if it is one of less than 2^32; else the complement of its bits, which would be no
-/// number if it were less than that.
+/// Returns `value` as a number of steps, if it is an exact multiple below 2^32; otherwise the complement of its bits. A
+/// complement below 2^32 would be that of a NaN.
 fn to_steps(value: f64, step: f64) -> u64 {
     let steps = (value / step).round() as u32;
     let is_exact = (f64::from(steps) * step).to_bits() == value.to_bits();
@@ -179,7 +179,7 @@ fn from_steps(word: u64, step: f64) -> f64 {
     u32::try_from(word).map_or_else(|_| f64::from_bits(!word), |steps| f64::from(steps) * step)
 }
 
-/// 0, -1, 1, -2, 2.. as 0, 1, 2, 3, 4..
+/// Maps 0, -1, 1, -2, 2.. to 0, 1, 2, 3, 4..
 fn zigzag(difference: u32) -> u32 {
     (difference << 1) ^ (difference >> 31).wrapping_neg()
 }
@@ -201,7 +201,7 @@ mod tests {
         Header { camera, depth_scale: 0.001, ..Header::default() }
     }
 
-    /// What comes back, and the number of bytes that it took.
+    /// Compresses and decompresses a list; returns it and the number of compressed bytes.
     fn sent(items: &[Ellipse], how: Compression) -> (Vec<Ellipse>, usize) {
         let (mut bytes, mut back) = (Vec::new(), Vec::new());
         compress(&header(), items, how, &mut bytes).unwrap();
@@ -209,7 +209,7 @@ mod tests {
         (back, bytes.len())
     }
 
-    /// A circle of the extractor's, whose free numbers are noise.
+    /// A circle as the extractor makes it, whose independent numbers are noise.
     fn circle(line: u32, scan: u32) -> Ellipse {
         let noise = |index: u32| f64::from(line * 37 + index).sin();
         let mut moments = [0.0; conicflow_messages::MOMENTS];
@@ -237,7 +237,7 @@ mod tests {
     #[test]
     fn what_follows_from_the_rest_of_an_ellipse_takes_no_bytes() {
         let circles: Vec<_> = (0..600).map(|index| circle(index % 300, index / 300)).collect();
-        // Seventeen numbers are free, and what all share is told once.
+        // Seventeen numbers are independent; equal numbers compress to nearly nothing.
         for how in HOW {
             let (back, bytes) = sent(&circles, how);
             assert!(back == circles);

@@ -1,4 +1,4 @@
-//! Values as bytes, by bincode 2 within a limit, and what may be wrong with bytes.
+//! Encoding and decoding of values with bincode 2 within a size limit, and the errors of that.
 
 use bincode::config::{Configuration, Limit, standard};
 use bincode::serde::{borrow_decode_from_slice, encode_into_std_write};
@@ -6,70 +6,70 @@ use conicflow_messages::Malformed;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-/// No message is longer than this, in bytes.
+/// Maximum size of a message, in bytes.
 pub const MAX_MESSAGE: usize = 8 << 20;
 
-/// Why bytes from another machine are not a message.
+/// Why bytes from another machine are refused.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum WireError {
-    /// They are something else.
+    /// They do not come from conicflow.
     #[error("bytes that do not come from conicflow\n  hint: who else publishes under this key?")]
     Foreign,
-    /// The other side speaks another version.
+    /// The other side uses another version of the wire.
     #[error(
         "the other machine speaks version {theirs} of the wire, this one {ours}\n  \
          hint: install the same conicflow on both"
     )]
     Version {
-        /// This side's.
+        /// The version of this side.
         ours: u16,
-        /// The other's.
+        /// The version of the other side.
         theirs: u16,
     },
-    /// The other side's types have another layout.
+    /// The types of the other side have another layout.
     #[error(
         "the other machine sends messages laid out as `{theirs}`, this one reads `{ours}`\n  \
          hint: install the same conicflow on both"
     )]
     Layout {
-        /// This side's.
+        /// The layout of this side.
         ours: String,
-        /// The other's.
+        /// The layout of the other side.
         theirs: String,
     },
-    /// Somebody else made them, or changed them, or they belong elsewhere.
+    /// Their code is wrong: a third party made or changed them, or they belong to another topic.
     #[error(
         "its code was not made with the key of this machine\n  hint: are the keys of all machines the same file? make one with \
          `conicflow key`, copy it, and name it in each machine's table as `key`. If they are, somebody else is on the link"
     )]
     WrongCode,
-    /// There is a key here, and none there.
+    /// This side has a key, but they have no code.
     #[error(
         "it has no code, and this machine takes only what was made with its key\n  hint: give all machines the same `key`, \
          as `conicflow key` makes it, or all `insecure = true`. If they have it, somebody else is on the link"
     )]
     NoCode,
-    /// There is a key there, and none here.
+    /// They have a code, but this side has no key.
     #[error(
         "it has a code, and this machine has no key\n  hint: give all machines the same `key`, as `conicflow key` makes it, \
          or all `insecure = true`"
     )]
     UnexpectedCode,
-    /// They say what the other machine cannot have said.
+    /// They claim something that the other machine cannot have sent.
     #[error(
         "it cannot have said that {0}\n  hint: whoever can connect can send; with the same `key` on all machines only these can"
     )]
     Impossible(&'static str),
-    /// They are too many.
+    /// They are too long.
     #[error("a message of {bytes} bytes, allowed are {MAX_MESSAGE}\n  hint: send smaller images, or lists")]
     TooLong {
-        /// How many they are.
+        /// Their number.
         bytes: usize,
     },
-    /// They cannot be read, or written.
+    /// They cannot be decoded, or a value cannot be encoded.
     #[error("broken bytes: {0}")]
     Broken(String),
-    /// They can be read, but make no sense.
+    /// They can be decoded, but the message is malformed.
     #[error(transparent)]
     Malformed(#[from] Malformed),
 }
@@ -85,7 +85,7 @@ pub(super) fn encode<V: Serialize>(value: &V, bytes: &mut Vec<u8>) -> Result<(),
     written.map(drop).map_err(|error| WireError::Broken(error.to_string()))
 }
 
-/// A value at the start of the bytes, and how many it took.
+/// Decodes a value at the start of the bytes; returns it and its length in bytes.
 pub(super) fn decode_start<'a, V: Deserialize<'a>>(bytes: &'a [u8]) -> Result<(V, usize), WireError> {
     borrow_decode_from_slice(bytes, bounded()).map_err(|error| WireError::Broken(error.to_string()))
 }

@@ -1,12 +1,13 @@
-//! The bytes of a message between machines, and the border where bytes from another machine become a message.
+//! The byte format of messages between machines, and the checks of bytes that come from another machine.
 //!
-//! `CFLO`, the wire's version as a little-endian `u16`, the session as a little-endian `u64` (one number per start of the
-//! sending bridge), 32 bytes of a code ([`seal`]; zeros where there is no key), the position in the link's stream as three
-//! little-endian `u64`, then in bincode 2 (`config::standard()`): the names of the memory layouts, the header, and the body
-//! ([`codec`]): of objects and tracks a count and the items; of images and ellipses a byte for the compression (0 none, 1 LZ4,
-//! 2 Zstandard), and what it has made, without compression the pixels as little-endian `u16`, and a count and the items; of all
-//! others a byte for the compression, a count and the items as they lie in memory. Who only reads may pass over the code.
-//! Nothing is believed: version, layouts, sizes, lengths, ranges and numbers are checked before a message is handed on.
+//! A message consists of `CFLO`; the wire's version as a little-endian `u16`; the session as a little-endian `u64` (one number
+//! per start of the sending bridge); 32 bytes of a code ([`seal`]; zeros without a key); the position in the link's stream as
+//! three little-endian `u64`; then, in bincode 2 (`config::standard()`), the names of the memory layouts, the header, and the
+//! body ([`codec`]). The body of objects and tracks is a count and the items. That of images and ellipses is a byte for the
+//! compression (0 none, 1 LZ4, 2 Zstandard) and the compressed data; without compression the pixels as little-endian `u16`, or a
+//! count and the ellipses. That of all other types is a byte for the compression, a count, and the items as in memory. A program
+//! that only reads may ignore the code. Nothing is trusted: version, layouts, sizes, lengths, ranges and numbers are checked
+//! before a message is passed on.
 
 pub(crate) mod codec;
 mod compression;
@@ -33,28 +34,28 @@ pub const WIRE_VERSION: u16 = 5;
 const MAGIC: [u8; 4] = *b"CFLO";
 const PREFIX: usize = MAGIC.len() + size_of::<u16>();
 
-/// Where a message stands in the stream of its link.
+/// The position of a message in the stream of its link.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StreamPosition {
     /// One number per start of the sending bridge.
     pub stream: u64,
     /// Number of the message in that stream, from 0.
     pub number: u64,
-    /// Number of the oldest message that the sender still keeps: what is older will not come again.
+    /// Number of the oldest message that the sender still keeps; older ones will not come again.
     pub oldest: u64,
 }
 
-/// What stands before the body.
+/// The part of a message before the body.
 #[derive(Serialize, Deserialize)]
 struct Opening<'a> {
     layout: &'a str,
     header: Header,
 }
 
-/// The bytes of a message whose items of this type lie in memory as `items`.
+/// Encodes a message; `items` are its items of this type as in memory.
 ///
 /// # Errors
-/// It is longer than [`MAX_MESSAGE`], or holds text that is none.
+/// The message is longer than [`MAX_MESSAGE`], or malformed.
 pub fn encode_message(
     position: StreamPosition,
     item: &ItemType,
@@ -65,7 +66,7 @@ pub fn encode_message(
     message_bytes(position, &item.layout(), header, |bytes| codec_of(item).encode(header, items, how, bytes))
 }
 
-/// The bytes of a message, of which `body` appends those behind the header; of the end of a stream there are none.
+/// Encodes a message; `body` appends its body, except for the end of a stream, which has none.
 pub(crate) fn message_bytes(
     position: StreamPosition,
     items_layout: &str,
@@ -81,10 +82,11 @@ pub(crate) fn message_bytes(
     if bytes.len() > MAX_MESSAGE { Err(WireError::TooLong { bytes: bytes.len() }) } else { Ok(bytes) }
 }
 
-/// Reads a message of items of this type; they come as they lie in memory. The message of an ended stream has none.
+/// Decodes a message with items of this type; returns its position, its header and its items as in memory. The end of a stream
+/// has none.
 ///
 /// # Errors
-/// What is wrong with the bytes.
+/// The bytes are no valid message of this type.
 pub fn decode_message(bytes: &[u8], item: &ItemType) -> Result<(StreamPosition, Header, Vec<u8>), WireError> {
     let (position, header, body) = open_message(bytes, &item.layout(), item.name())?;
     let mut codec = codec_of(item);
@@ -92,7 +94,7 @@ pub fn decode_message(bytes: &[u8], item: &ItemType) -> Result<(StreamPosition, 
     Ok((position, header, codec.items().to_vec()))
 }
 
-/// The position and the header of a message, checked, and the bytes behind them; the end of a stream has none.
+/// Decodes and checks the position and the header of a message; returns them with the body, which the end of a stream lacks.
 pub(crate) fn open_message<'a>(
     bytes: &'a [u8],
     items_layout: &str,
@@ -112,26 +114,26 @@ pub(crate) fn open_message<'a>(
     if body.is_empty() { Ok((position, header, None)) } else { Err(trailing()) }
 }
 
-/// The bytes of something small, with the same prefix as a message.
+/// Encodes a small value with the same prefix as a message.
 pub(crate) fn encode_note<N: Serialize>(note: &N) -> Result<Vec<u8>, WireError> {
     let mut bytes = opening_bytes();
     encode(note, &mut bytes)?;
     Ok(bytes)
 }
 
-/// Reads something small.
+/// Decodes a small value.
 pub(crate) fn decode_note<N: DeserializeOwned>(bytes: &[u8]) -> Result<N, WireError> {
     decode_whole(content(bytes)?)
 }
 
-/// Tells anew, in the bytes of a message that is sent again, which is the oldest that is still kept.
+/// Updates the number of the oldest kept message in a message that is retransmitted.
 pub(crate) fn set_oldest(bytes: &mut [u8], oldest: u64) {
     if let Some(slot) = bytes.get_mut(PREFIX + SEAL + 16..PREFIX + SEAL + 24) {
         slot.copy_from_slice(&oldest.to_le_bytes());
     }
 }
 
-/// Where a message stands in its stream.
+/// Decodes the position of a message.
 pub(crate) fn position_of(bytes: &[u8]) -> Result<StreamPosition, WireError> {
     split_position(content(bytes)?).map(|(position, _)| position)
 }
@@ -142,7 +144,7 @@ fn split_position(bytes: &[u8]) -> Result<(StreamPosition, &[u8]), WireError> {
     Ok((StreamPosition { stream: number(0), number: number(8), oldest: number(16) }, rest))
 }
 
-/// The layouts of what every program knows.
+/// The layouts of all built-in types.
 pub(crate) fn layouts() -> String {
     let names: Vec<_> = BUILT_IN.iter().map(ItemType::type_name).collect();
     layout(&names.join(" "))
@@ -156,7 +158,7 @@ fn opening_bytes() -> Vec<u8> {
     [MAGIC.as_slice(), &WIRE_VERSION.to_le_bytes(), &[0; SEAL]].concat()
 }
 
-/// What follows the prefix and the seal of bytes that are ours.
+/// Checks the prefix of a message; returns the bytes after its prefix and seal.
 fn content(bytes: &[u8]) -> Result<&[u8], WireError> {
     if bytes.len() > MAX_MESSAGE {
         return Err(WireError::TooLong { bytes: bytes.len() });

@@ -1,9 +1,9 @@
-//! The code by which machines of a pipeline know each other's messages, where they share a key.
+//! The codes that authenticate messages between the machines of a pipeline that share a key.
 //!
-//! It is HMAC-SHA256 by that key, over the length of the Zenoh key as a little-endian `u64`, the Zenoh key, and all bytes of the
-//! message but the code: so nobody without the key can make a message, change one, or put one under another topic. To
-//! put one there again is told by what it says: by the session, which its sender has to prove to be the present one
-//! (`peer::links`), and within that by its number, or of a heartbeat its time.
+//! The code is an HMAC-SHA256 with that key over the length of the Zenoh key as a little-endian `u64`, the Zenoh key, and all
+//! bytes of the message except the code. So nobody without the key can make a message, change one, or move one to another topic.
+//! A replayed message is detected by its session, which the sender has to prove to be the present one (`peer::links`), and within
+//! a session by its number or, for a heartbeat, its time.
 
 use super::{PREFIX, WireError, content};
 use conicflow_dataflow::LinkKey;
@@ -11,24 +11,25 @@ use ring::digest::SHA256_OUTPUT_LEN;
 use ring::hmac::{Context, HMAC_SHA256, Key, Tag};
 use subtle::ConstantTimeEq;
 
-/// Bytes of the session.
+/// Length of the session in bytes.
 const SESSION: usize = size_of::<u64>();
-/// Bytes of the session and of the code, which are written when the message goes out.
+/// Length of the session and the code in bytes. Both are written when the message goes out.
 pub(super) const SEAL: usize = SESSION + SHA256_OUTPUT_LEN;
 /// Where the code begins.
 const CODE: usize = PREFIX + SESSION;
 /// Where the code ends.
 const SEALED: usize = PREFIX + SEAL;
 
-/// Makes and checks codes.
+/// Computes and checks codes.
 pub(crate) struct Seal {
     key: Option<Key>,
-    /// One number per start of this bridge.
+    /// Number of this start of the bridge.
     session: u64,
 }
 
 impl Seal {
-    /// What this start of the bridge sends; without a key it has no codes, and all that others send without one is believed.
+    /// Creates the seal of this start of the bridge. Without a key, messages have no codes, and all messages without a code are
+    /// accepted.
     pub(crate) fn new(key: Option<&LinkKey>, session: u64) -> Self {
         Self { key: key.map(|key| Key::new(HMAC_SHA256, key.bytes())), session }
     }
@@ -37,8 +38,7 @@ impl Seal {
         self.key.is_some()
     }
 
-    /// Writes the session, and the code if there is a key, into a message or a note that was made
-    /// here, and goes out under this Zenoh key.
+    /// Writes the session and, with a key, the code into a message or note before it goes out under this Zenoh key.
     pub(crate) fn close(&self, zenoh_key: &str, bytes: &mut [u8]) {
         bytes[PREFIX..CODE].copy_from_slice(&self.session.to_le_bytes());
         if let Some(key) = &self.key {
@@ -47,7 +47,7 @@ impl Seal {
         }
     }
 
-    /// The session of which a message claims to be, where it has been made by somebody with the key, for this Zenoh key.
+    /// Checks the code of a message that came under this Zenoh key; returns the session that the message names.
     pub(crate) fn open(&self, zenoh_key: &str, bytes: &[u8]) -> Result<u64, WireError> {
         content(bytes)?;
         let came = &bytes[CODE..SEALED];
@@ -55,19 +55,19 @@ impl Seal {
         match &self.key {
             Some(_) if !is_there => Err(WireError::NoCode),
             None if is_there => Err(WireError::UnexpectedCode),
-            // In a time that does not tell where the two differ.
+            // In constant time, which does not reveal where the two differ.
             Some(key) if !bool::from(code(key, zenoh_key, bytes).as_ref().ct_eq(came)) => Err(WireError::WrongCode),
             _ => Ok(session_of(bytes)),
         }
     }
 }
 
-/// The session that a message claims to be of; 0 where it is too short for one.
+/// The session that a message names; 0 if the message is too short.
 pub(crate) fn session_of(bytes: &[u8]) -> u64 {
     bytes.get(PREFIX..CODE).unwrap_or_default().iter().rev().fold(0, |sum, &byte| sum << 8 | u64::from(byte))
 }
 
-/// The code of a message; what it holds in the place of its code does not count.
+/// Computes the code of a message, ignoring the code that it holds.
 fn code(key: &Key, zenoh_key: &str, bytes: &[u8]) -> Tag {
     let mut context = Context::with_key(key);
     context.update(&(zenoh_key.len() as u64).to_le_bytes());
@@ -77,7 +77,7 @@ fn code(key: &Key, zenoh_key: &str, bytes: &[u8]) -> Tag {
 
 /// A new secret.
 #[cfg(test)]
-#[allow(clippy::unwrap_used)] // what a test cannot go on from is its failure
+#[allow(clippy::unwrap_used)] // in tests, a panic is a failure
 pub(crate) fn secret() -> LinkKey {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("robot.key");

@@ -1,4 +1,4 @@
-//! What the wire promises: every message comes back bit for bit, and no bytes whatever do harm.
+//! Tests of the wire format: each message comes back bit for bit, and no bytes do harm.
 
 use super::codec::codec_of;
 use super::{
@@ -44,7 +44,7 @@ fn decoded<T: Item>(bytes: &[u8]) -> Result<(StreamPosition, Header, Vec<u8>), W
     decode_message(bytes, &ItemType::of::<T>())
 }
 
-/// What is accepted is accepted again.
+/// Checks that an accepted message is accepted again after encoding.
 fn decode_as_all(bytes: &[u8]) {
     for item in &BUILT_IN {
         let Ok((position, header, items)) = decode_message(bytes, item) else { continue };
@@ -136,7 +136,7 @@ fn images_that_do_not_fill_their_size_are_refused() {
         for (width, height) in [(4, 4), (4, 2), (0, 0)] {
             let other = header(width, height);
             assert!(matches!(encoded(&other, &pixels, how), Err(WireError::Malformed(_))), "{how:?}");
-            // A sender that does not look sends it.
+            // As from a sender that does not check it.
             let item = ItemType::of::<u16>();
             let body = |bytes: &mut Vec<u8>| codec_of(&item).encode(&header(4, 3), cast_slice(&pixels), how, bytes);
             let sent = message_bytes(position(), &item.layout(), &other, body).unwrap();
@@ -148,7 +148,7 @@ fn images_that_do_not_fill_their_size_are_refused() {
 #[test]
 fn numbers_that_make_no_sense_are_refused() {
     let nonsense = Ellipse { rms: f64::NAN, ..ellipse() };
-    // Also where no flag says that there is a pose.
+    // The pose is checked even without the flag that says there is one.
     let nowhere = Header { world_from_camera: [[f64::NAN; 4]; 3], ..header(64, 48) };
     for (header, ellipse) in [(header(64, 48), nonsense), (nowhere, ellipse())] {
         for how in HOW {

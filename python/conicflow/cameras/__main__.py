@@ -1,5 +1,5 @@
-"""`python3 -m conicflow.cameras ADAPTER`: the program that the nodes of cameras run. With `--check` it says, as JSON, what is missing
-for that."""
+"""`python3 -m conicflow.cameras ADAPTER`: the program that the camera nodes run. With `--check` it prints
+as JSON what is missing for that."""
 
 import importlib
 import json
@@ -19,11 +19,11 @@ from .stream import Stream
 
 ADAPTERS = ("realsense", "orbbec", "oakd", "azure_kinect")
 REFUSED = 2
-"""Exit code of a stage that could not be made ready: to start it anew would not help."""
+"""Exit code of a stage that could not be initialised: a restart would not help."""
 
 
 def load(adapter: str) -> ModuleType:
-    """The adapter, with its SDK."""
+    """Imports the adapter and its SDK."""
     sdk = SDKS[adapter]
     try:
         refuse_other_versions(sdk, importlib.import_module(sdk.module))
@@ -33,7 +33,7 @@ def load(adapter: str) -> ModuleType:
 
 
 def refuse_other_versions(sdk: "Sdk", module: ModuleType) -> None:
-    """Looks whether an SDK has what the adapter calls, before a camera is waited for that it could not open."""
+    """Checks that an SDK has the functions that the adapter calls, instead of waiting for a camera that it could not open."""
     for name in sdk.needs:
         part: Any = module
         for word in name.split("."):
@@ -44,7 +44,7 @@ def refuse_other_versions(sdk: "Sdk", module: ModuleType) -> None:
 
 
 def _version(package: str) -> str:
-    # It loads half of the standard library, which those that are right need not wait for.
+    # Imported here because it loads half of the standard library, which is only needed on failure.
     import importlib.metadata
 
     try:
@@ -54,7 +54,7 @@ def _version(package: str) -> str:
 
 
 def how_to_install(package: str, beside: str) -> str:
-    """What gives this Python an SDK, or, where a distribution keeps it for itself, one that has its packages, too."""
+    """The command that installs an SDK: for this Python or, if a distribution manages it, in an environment that extends it."""
     if sys.prefix == sys.base_prefix and Path(sysconfig.get_path("stdlib"), "EXTERNALLY-MANAGED").exists():
         venv = f"sudo {sys.executable} -m venv --system-site-packages /opt/conicflow"
         install = f"`sudo apt install python3-venv && {venv} && sudo /opt/conicflow/bin/pip install {package}`{beside}"
@@ -64,16 +64,16 @@ def how_to_install(package: str, beside: str) -> str:
 
 
 class Sdk(NamedTuple):
-    """What an adapter needs."""
+    """The packages that an adapter needs."""
 
     package: str
-    """What pip installs."""
+    """The package that pip installs."""
     beside: str
-    """What the package needs, in words."""
+    """Further requirements of the package, in words."""
     module: str
-    """What Python imports."""
+    """The module that Python imports."""
     needs: tuple[str, ...]
-    """What other versions, or other packages of that name, lack."""
+    """Attributes that other versions, or other packages of that name, lack."""
 
 
 SDKS = {
@@ -114,7 +114,7 @@ def settings(parameters: dict[str, Any], base: str) -> Settings:
 
 
 def run(adapter: ModuleType) -> int:
-    """Is the source of the run that this process was started in; the exit code."""
+    """Runs as the source of the run that this process was started in; returns the exit code."""
     with ExitStack() as place:
         source = place.enter_context(conicflow.source())
         wanted = settings(source.parameters, source.base)
@@ -132,7 +132,7 @@ def run(adapter: ModuleType) -> int:
                 stream.send(frame)
         except Refused as fault:
             log("error", str(fault))
-            # The stream has not come to its end: the place is let go as it is.
+            # The stream has not ended: leave the place without ending the stream.
             place.pop_all()
             return REFUSED
         finally:
@@ -141,13 +141,13 @@ def run(adapter: ModuleType) -> int:
 
 
 def main(arguments: Optional[list[str]] = None) -> int:
-    """Runs an adapter, or tells what it lacks."""
+    """Runs an adapter, or reports what it lacks."""
     arguments = sys.argv[1:] if arguments is None else arguments
     adapter, options = arguments[:1], arguments[1:]
     if adapter not in [[name] for name in ADAPTERS] or options not in ([], ["--check"]):
         print(f"usage: python3 -m conicflow.cameras {'|'.join(ADAPTERS)} [--check]", file=sys.stderr)
         return REFUSED
-    # What an SDK says by itself is no result of the run.
+    # Output of an SDK itself is not a result of the run.
     answers = os.dup(sys.stdout.fileno())
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     try:

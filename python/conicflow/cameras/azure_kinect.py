@@ -1,6 +1,6 @@
 """Azure Kinect, by pyk4a: a camera, or a recording of the SDK (.mkv). Its images are distorted, and rectified here.
 
-Tried with stand-ins for the SDK's classes, not with a camera.
+Tested with stand-ins for the SDK's classes, not with a camera.
 """
 
 from contextlib import suppress
@@ -32,10 +32,10 @@ MODES = {
     (512, 512): pyk4a.DepthMode.WFOV_2X2BINNED,
     (1024, 1024): pyk4a.DepthMode.WFOV_UNBINNED,
 }
-"""What makes images of which size: a narrow or a wide field of view, with or without binning."""
+"""The depth mode for each image size: a narrow or a wide field of view, with or without binning."""
 RATES = {5: pyk4a.FPS.FPS_5, 15: pyk4a.FPS.FPS_15, 30: pyk4a.FPS.FPS_30}
 WIDEST_RATE = 15
-"""The fastest at which there are images of 1024x1024."""
+"""The highest rate for images of 1024x1024."""
 
 
 def connect(settings: Settings) -> Camera:
@@ -63,7 +63,7 @@ def connect(settings: Settings) -> Camera:
             raise
         except Exception as error:
             there.append(f"{name}, which cannot be opened: {text_of(error)}; {IN_USE}")
-        # Where it could not be opened there is nothing to let go.
+        # If it could not be opened, there is nothing to close.
         with suppress(Exception):
             device.close()
     if there and settings.serial is None:

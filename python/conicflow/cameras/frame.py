@@ -1,4 +1,4 @@
-"""What an adapter makes of an image of its SDK: depths, the lens that saw them, scale, noise, time; and how it fails."""
+"""The frames that adapters make from images of their SDKs: depths, lens, scale, noise, time; and their errors."""
 
 import time
 from collections.abc import Iterator, Mapping
@@ -10,14 +10,14 @@ import numpy as np
 import numpy.typing as npt
 
 Noise = Union[str, Mapping[str, float]]
-"""A word of the pipeline file or coefficients of it."""
+"""A word as in the pipeline file, or coefficients."""
 
 SUBPIXEL_PX = 0.08
-"""The usual error of a stereo camera's disparity in pixels, that of the noise model `realsense_d435`."""
+"""The usual error of a stereo camera's disparity in pixels, as in the noise model `realsense_d435`."""
 
 
 class Fault(Exception):
-    """Something went wrong; it says what, and what to do."""
+    """An error with a hint."""
 
     def __init__(self, what: str, hint: str) -> None:
         super().__init__(f"{what}\n  hint: {hint}")
@@ -25,11 +25,11 @@ class Fault(Exception):
 
 
 class Refused(Fault):
-    """It would come again if it were tried again: a parameter that the camera cannot take, a file that cannot be read."""
+    """An error that a retry would give again: a parameter that the camera does not support, an unreadable file."""
 
 
 class NotThere(Fault):
-    """The camera is not there, and may come."""
+    """The camera is not connected, but may be later."""
 
 
 class EndOfRecording(Exception):
@@ -37,19 +37,19 @@ class EndOfRecording(Exception):
 
 
 WRONG_SDK = (AttributeError, ImportError, TypeError)
-"""What calls to an SDK raise that is of another version than the adapter knows."""
+"""The exceptions of calls to an SDK of another version than the adapter knows."""
 IN_USE = "does another program use it?"
-"""What to ask of a camera that is there and cannot be opened."""
+"""The hint for a connected camera that cannot be opened."""
 
 
 def text_of(error: Exception) -> str:
-    """What an exception says, or what it is where it says nothing."""
+    """The text of an exception, or its type if it has no text."""
     return str(error) or type(error).__name__
 
 
 @contextmanager
 def opening(name: str) -> Iterator[None]:
-    """Says which camera it is that cannot be opened."""
+    """Adds the name of the camera to errors of opening it."""
     try:
         yield
     except (Fault, *WRONG_SDK):
@@ -59,8 +59,8 @@ def opening(name: str) -> Iterator[None]:
 
 
 class Lens(NamedTuple):
-    """A pinhole camera in pixels, centres of pixels at whole numbers; and its distortion in the order of OpenCV: k1, k2, p1, p2,
-    k3, k4, k5, k6. None: its images are rectified."""
+    """A pinhole camera in pixels, with pixel centres at integers; and its distortion in the order of OpenCV: k1, k2, p1, p2,
+    k3, k4, k5, k6. Without coefficients its images are rectified."""
 
     width: int
     height: int
@@ -86,13 +86,13 @@ class Frame:
     """Metres per unit."""
     noise: Noise
     stamp_ns: int
-    """When it was taken, in nanoseconds since the Unix epoch; of a recording as it says."""
+    """Time of capture in nanoseconds since the Unix epoch; for a recording as recorded."""
     number: Optional[int] = None
-    """Number that the camera gave it: where one is left out, a frame was lost."""
+    """Number from the camera: a gap means that frames were lost."""
 
 
 class Settings(NamedTuple):
-    """The parameters of the node, with all defaults settled."""
+    """The parameters of the node, with all defaults filled in."""
 
     serial: Optional[str]
     path: Optional[str]
@@ -103,36 +103,36 @@ class Settings(NamedTuple):
     stall_s: float
 
     def profile(self) -> str:
-        """What is asked of the camera, in words."""
+        """The requested format, in words."""
         size = f"{self.width}x{self.height}" if self.width else "any size"
         return f"{size} at {self.fps} Hz" if self.fps else size
 
     def fits(self, width: int, height: int, fps: int) -> bool:
-        """Whether a format of the camera is one that is asked for."""
+        """Whether a format of the camera matches the request."""
         return self.width in (None, width) and self.height in (None, height) and self.fps in (None, fps)
 
 
 class Camera(Protocol):
-    """A camera that was opened, or a recording."""
+    """An open camera or recording."""
 
     @property
     def name(self) -> str:
-        """Which one it is, for people."""
+        """Its name, for messages to the user."""
 
     def read(self, patience_s: float) -> Optional[Frame]:
-        """The next frame; None if none came in that time. Raises EndOfRecording, or anything else where the camera is lost."""
+        """Returns the next frame, or None if none came in time. Raises EndOfRecording, or any exception if the camera is lost."""
 
     def close(self) -> None: ...
 
 
 def not_there(kind: str, serial: Optional[str], there: list[str], otherwise: str) -> NotThere:
-    """Says that no such camera is connected, and which are."""
+    """Returns the error that no such camera is connected, and which are."""
     which = f"{kind} with serial number {serial}" if serial else kind
     return NotThere(f"no {which} is connected", f"connected: {', '.join(there)}" if there else otherwise)
 
 
 def stereo_noise(fx: float, baseline_m: float) -> Optional[Noise]:
-    """The noise of a stereo camera: sigma(z) = z^2 subpixel / (f b); None where no camera has that base line."""
+    """Returns the noise of a stereo camera: sigma(z) = z^2 subpixel / (f b); None if no camera has that base line."""
     if not 0.005 < abs(baseline_m) < 1.0:
         return None
     growth_per_m = SUBPIXEL_PX / (fx * abs(baseline_m))
@@ -140,7 +140,7 @@ def stereo_noise(fx: float, baseline_m: float) -> Optional[Noise]:
 
 
 def noise_of(settings: "Settings", name: str, known: Optional[Noise]) -> Noise:
-    """The noise that the pipeline file gives, else what the SDK tells of it; never a guess."""
+    """Returns the noise from the pipeline file, else from the SDK; never a guess."""
     noise = known if settings.noise is None else settings.noise
     if noise is None:
         hint = 'write `noise = "realsense_d435"` for stereo, "kinect_v1" for structured light, "time_of_flight", or a table'
@@ -149,26 +149,26 @@ def noise_of(settings: "Settings", name: str, known: Optional[Noise]) -> Noise:
 
 
 class DeviceClock:
-    """Times of a camera's own clock as nanoseconds since the Unix epoch.
+    """Converts times of a camera's own clock to nanoseconds since the Unix epoch.
 
-    The image that came fastest tells how far the clocks are apart; they may part by 1 in 10,000, and by any time at once where
-    one of them is set: what all images of some seconds agree on is taken over.
+    The image with the smallest delay gives the offset between the clocks. They may drift by 1 in 10,000, and jump when one is
+    set: a new offset on which all images of some seconds agree is adopted.
     """
 
     LATE_NS = 2e7
-    """Images that come later than that tell of a clock that was set, if none comes earlier for `AGREED_NS`."""
+    """Images with a longer delay mean that a clock was set, if none comes earlier for `AGREED_NS`."""
     AGREED_NS = 3_000_000_000
     AGREED = 20
-    """So many images at least."""
+    """Minimum number of such images."""
 
     def __init__(self) -> None:
         self._apart: Optional[float] = None
         self._last_ns = 0
         self._late: list[tuple[int, float]] = []
-        """Of the images since the last that was not late: the camera's time, and how far the clocks seemed to be apart."""
+        """For the images since the last one in time: the camera's time, and the apparent offset between the clocks."""
 
     def stamp_ns(self, device_ns: int, now_ns: Optional[int] = None) -> int:
-        """The time at which an image was taken that has just come."""
+        """Returns the time of capture of an image that has just come."""
         now_apart = float((time.time_ns() if now_ns is None else now_ns) - device_ns)
         if self._apart is None or abs(now_apart - self._apart) > 1e9:
             self._apart = now_apart
@@ -186,10 +186,10 @@ class DeviceClock:
 
 
 class Rectifier:
-    """Moves the pixels of a distorted image to where a pinhole camera would see them.
+    """Rectifies a distorted image: moves its pixels to where a pinhole camera would see them.
 
-    Each pixel takes the nearest measurement, as a mean over an edge would be a depth where nothing is. Depths are along the
-    optical axis and stay as they are.
+    Each pixel takes the nearest measurement, because a mean over an edge would be a depth without a surface. Depths are along the
+    optical axis and do not change.
     """
 
     def __init__(self, lens: Lens) -> None:
@@ -203,7 +203,7 @@ class Rectifier:
         column = np.rint((x * growth + 2 * p1 * x * y + p2 * (square + 2 * x * x)) * lens.fx + lens.cx)
         row = np.rint((y * growth + p1 * (square + 2 * y * y) + 2 * p2 * x * y) * lens.fy + lens.cy)
         seen = (0 <= column) & (column < lens.width) & (0 <= row) & (row < lens.height) & (square < self._limit())
-        # What the camera does not see is read from behind the image.
+        # Pixels that the camera does not see are read from the zero that `__call__` appends.
         beyond = lens.width * lens.height
         self._places = np.where(seen, row * lens.width + column, beyond).astype(np.intp)
 
@@ -216,7 +216,7 @@ class Rectifier:
         return above / (1 + square * (k4 + square * (k5 + square * k6)))
 
     def _limit(self) -> float:
-        """The squared distance from the axis from which on the model turns back: no lens does."""
+        """The squared distance from the axis beyond which the model folds back, which no lens does."""
         radius: npt.NDArray[np.float64] = np.linspace(0.0, 10.0, 10_001)
         with np.errstate(all="ignore"):
             distorted: npt.NDArray[np.float64] = radius * self._growth(radius**2)

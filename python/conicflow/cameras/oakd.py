@@ -1,6 +1,6 @@
 """Luxonis OAK-D, by depthai 3: depth of the stereo pair, which the camera rectifies and matches.
 
-Tried with stand-ins for the SDK's classes, not with a camera. The SDK plays recordings back only through a camera.
+Tested with stand-ins for the SDK's classes, not with a camera. The SDK plays recordings back only through a camera.
 """
 
 import datetime
@@ -15,7 +15,7 @@ SCALE = 0.001
 """Depths come in millimetres."""
 DEFAULT_SIZE = (640, 400)
 KEPT = 2
-"""Frames that wait at most."""
+"""Maximum number of frames that wait."""
 
 
 def connect(settings: Settings) -> Camera:
@@ -56,7 +56,7 @@ class OakD:
         try:
             stereo.build(True, presetMode=preset, size=size, fps=settings.fps)
             stereo.setRectification(True)
-            # Steps of a whole pixel would drown the noise.
+            # With steps of a whole pixel, quantisation would exceed the noise.
             stereo.setSubpixel(True)
             _leave_unsmoothed(stereo.initialConfig)
             self._queue = stereo.depth.createOutputQueue(maxSize=KEPT, blocking=False)
@@ -78,7 +78,7 @@ class OakD:
         matrix = image.getTransformation().getIntrinsicMatrix()
         (fx, _, cx), (_, fy, cy) = matrix[0], matrix[1]
         lens = Lens(image.getWidth(), image.getHeight(), fx, fy, cx, cy)
-        # Its clock is that of this computer since it started.
+        # Its stamps are on this computer's clock, counted from its start.
         clock: Any = dai.Clock
         age = clock.now() - image.getTimestamp()
         stamp_ns = time.time_ns() - round(age.total_seconds() * 1e9)
@@ -92,7 +92,7 @@ class OakD:
             self._device.close()
 
     def _stereo_pair(self) -> tuple[Any, Any]:
-        """The right and the left eye, as they were calibrated."""
+        """The sockets of the right and the left camera, from the calibration."""
         calibration = self._device.readCalibration()
         pair = (calibration.getStereoRightCameraId(), calibration.getStereoLeftCameraId())
         cameras = self._device.getConnectedCameraFeatures()
@@ -103,11 +103,11 @@ class OakD:
         return pair
 
     def _baseline(self) -> float:
-        """Metres between both eyes, as they were calibrated."""
+        """The base line in metres, from the calibration."""
         return float(self._device.readCalibration().getBaselineDistance(*self._pair, False)) * 1e-2
 
     def _modes(self) -> str:
-        """What the left eye can do, in words."""
+        """The formats of the left camera, in words."""
         (left,) = (each for each in self._device.getConnectedCameraFeatures() if each.socket == self._pair[1])
         modes = sorted({(each.width, each.height, each.maxFps) for each in left.configs})
         told = ", ".join(f"{width}x{height} up to {fps:g} Hz" for width, height, fps in modes)
@@ -119,16 +119,16 @@ def _socket(camera: Any) -> str:
 
 
 def _is_of_the_link(error: Exception) -> bool:
-    """Whether it tells of a cable or a device that is gone, not of what it was asked for."""
+    """Whether an error means a lost cable or device, and not a wrong request."""
     return "X_LINK" in str(error) or "XLink" in str(error)
 
 
 def _leave_unsmoothed(config: Any) -> None:
-    """Switches off what the preset smooths, fills and shrinks: the noise is that of depths as they were matched."""
+    """Switches off the preset's smoothing, filling and shrinking: the noise model is that of unfiltered depths."""
     config.setMedianFilter(dai.StereoDepthConfig.MedianFilter.MEDIAN_OFF)
     after: Any = config.postProcessing
     after.decimationFilter.decimationFactor = 1
-    # Not every version of the SDK has all of them.
+    # Some versions of the SDK lack some of them.
     for name in ("temporalFilter", "spatialFilter", "speckleFilter", "holeFilling", "adaptiveMedianFilter"):
         if hasattr(after, name):
             getattr(after, name).enable = False

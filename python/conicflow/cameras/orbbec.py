@@ -1,6 +1,6 @@
 """Orbbec cameras, by pyorbbecsdk2: stereo (Gemini, Astra 2) and time of flight (Femto); or a recording of the SDK (.bag).
 
-Tried with stand-ins for the SDK's classes, not with a camera.
+Tested with stand-ins for the SDK's classes, not with a camera.
 """
 
 from typing import Any, Optional
@@ -11,17 +11,17 @@ import pyorbbecsdk as ob
 from .frame import Camera, EndOfRecording, Frame, Lens, Noise, Refused, Settings, noise_of, not_there, opening, stereo_noise
 
 FORMATS = (ob.OBFormat.Y16, ob.OBFormat.Z16)
-"""Depths as whole numbers of 16 bits."""
+"""Depths as 16-bit integers."""
 KNOWN_MODELS = (
     ob.OBCameraDistortionModel.BROWN_CONRADY,
     ob.OBCameraDistortionModel.BROWN_CONRADY_K6,
 )
-"""Models of distortion that are undone here."""
+"""Distortion models that are rectified here."""
 
 
 def connect(settings: Settings) -> Camera:
     """Opens the recording or the camera that the settings name."""
-    # Else the SDK writes files of its own beside the pipeline file.
+    # Otherwise the SDK writes log files beside the pipeline file.
     ob.Context.set_logger_to_file(ob.OBLogLevel.NONE, "")
     if settings.path:
         try:
@@ -73,7 +73,7 @@ class Orbbec:
         pixels = np.frombuffer(np.asarray(depth.get_data()).tobytes(), np.uint16)
         if pixels.size == width * height:
             pixels = pixels.reshape(height, width)
-        # The clock of the computer, as the SDK converts that of the camera; else when the frame came.
+        # The camera's time on the computer's clock, as converted by the SDK; else the time when the frame came.
         stamp_ns = (depth.get_global_timestamp_us() or depth.get_system_timestamp_us()) * 1000
         scale = depth.get_depth_scale() * 1e-3
         return Frame(pixels, self._lens, scale, self._noise, stamp_ns, depth.get_index())
@@ -82,12 +82,12 @@ class Orbbec:
         self._pipeline.stop()
 
     def _see_through(self, profile: Any) -> None:
-        """Takes over a lens, and the noise that depends on it."""
+        """Sets the lens, and the noise that depends on it."""
         self._lens = _lens(profile, self.name)
         self._noise = noise_of(self._settings, self.name, self._known_noise())
 
     def _profile(self, settings: Settings) -> Any:
-        """The depth stream that is asked for; of several the camera's default, else the first."""
+        """Returns the requested depth stream; of several the camera's default, else the first."""
         profiles = self._pipeline.get_stream_profile_list(ob.OBSensorType.DEPTH_SENSOR)
         default = profiles.get_default_video_stream_profile()
         listed = [profiles.get_stream_profile_by_index(index) for index in range(profiles.get_count())]
@@ -105,13 +105,13 @@ class Orbbec:
         try:
             baseline_m = float(self._device.get_baseline().baseline) * 1e-3
         except Exception:
-            # It is none with two eyes.
+            # It is no stereo camera.
             return None
         return stereo_noise(self._lens.fx, baseline_m)
 
 
 def _lens(profile: Any, name: str) -> Lens:
-    """The lens of the depth images; those of time of flight are distorted."""
+    """Returns the lens of the depth images; images of time-of-flight cameras are distorted."""
     intrinsic, distortion = profile.get_intrinsic(), profile.get_distortion()
     k1, k2, k3 = distortion.k1, distortion.k2, distortion.k3
     coefficients = (k1, k2, distortion.p1, distortion.p2, k3, distortion.k4, distortion.k5, distortion.k6)

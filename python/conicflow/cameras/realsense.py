@@ -23,7 +23,7 @@ from .frame import (
 )
 
 KEPT = 2
-"""Frames that wait at most; of a camera the oldest is dropped, and counted as one that was lost."""
+"""Maximum number of frames that wait; for a camera the oldest is dropped, and counted as lost."""
 
 
 def connect(settings: Settings) -> Camera:
@@ -44,7 +44,7 @@ def connect(settings: Settings) -> Camera:
     if not fitting:
         hint = "is it plugged in, and may this user open it (udev rules of librealsense)?"
         raise not_there("RealSense", settings.serial, [_name(device) for device in devices], hint)
-    # One without depths, such as a tracking camera, may be the first.
+    # The first device may have no depth sensor, such as a tracking camera.
     device = next((device for device in fitting if _has_depths(device)), fitting[0])
     with opening(_name(device)):
         return RealSense(device, settings, None)
@@ -64,8 +64,8 @@ class RealSense:
             hint = "name one that has, by `serial`; of a recording, record the depth stream"
             raise Refused(f"{self.name} has no depth sensor", hint)
         profile = _profile(self._sensor, settings, self.name)
-        # A recording's sensor tells its options, but not that it is one with depths.
-        # It is a number of single precision, meant is the decimal one: a millimetre, not a millimetre and a little.
+        # A recording's sensor has its options, but does not identify itself as a depth sensor.
+        # The scale is in single precision; converting it through text gives the intended decimal, such as exactly 0.001.
         self._scale = float(str(np.float32(self._sensor.get_option(rs.option.depth_units))))
         self._see_through(profile.as_video_stream_profile().get_intrinsics())
         self._sensor.open(profile)
@@ -92,7 +92,7 @@ class RealSense:
             self._sensor.close()
 
     def _came(self, frame: Any) -> None:
-        """Takes a frame in a thread of the SDK."""
+        """Receives a frame, in a thread of the SDK."""
         if not frame.is_depth_frame():
             return
         try:
@@ -101,7 +101,7 @@ class RealSense:
             self._keep(error)
 
     def _frame(self, frame: Any) -> Frame:
-        # The SDK uses its memory again.
+        # The SDK reuses its memory.
         depth = np.array(frame.get_data(), copy=True)
         stamp_ns = round(frame.get_timestamp() * 1e6)
         if self._playback is None and frame.get_frame_timestamp_domain() == rs.timestamp_domain.hardware_clock:
@@ -112,18 +112,18 @@ class RealSense:
         return Frame(depth, self._lens, self._scale, self._noise, stamp_ns, frame.get_frame_number())
 
     def _see_through(self, intrinsics: Any) -> None:
-        """Takes over a lens, and the noise that depends on it."""
+        """Sets the lens, and the noise that depends on it."""
         self._lens = _lens(intrinsics, self.name)
         self._noise = noise_of(self._settings, self.name, self._known_noise())
 
     def _is_connected(self) -> bool:
         if hasattr(self._device, "is_connected"):
             return bool(self._device.is_connected())
-        # Older SDKs, the last that know the L515 among them, tell only which devices there are.
+        # Older SDKs, including the last ones that support the L515, only list the devices.
         return self.name in [_name(device) for device in rs.context().query_devices()]
 
     def _keep(self, came: Union[Frame, Exception]) -> None:
-        """Puts it where `read` finds it; a recording waits for that, a camera does not."""
+        """Queues a frame for `read`; a recording waits for room, a camera does not."""
         while not self._closing.is_set():
             try:
                 self._frames.put(came, timeout=0.05 if self._playback is not None else 0)
@@ -140,7 +140,7 @@ class RealSense:
 
     def _known_noise(self) -> Optional[Noise]:
         if self._sensor.supports(rs.option.stereo_baseline):
-            # In millimetres; some firmware has the sign of the other eye.
+            # In millimetres; the sign depends on the firmware.
             return stereo_noise(self._lens.fx, float(self._sensor.get_option(rs.option.stereo_baseline)) * 1e-3)
         return "time_of_flight" if "L5" in self.name else None
 
@@ -158,7 +158,7 @@ def _has_depths(device: Any) -> bool:
     try:
         return _depth_sensor(device) is not None
     except RuntimeError:
-        # It is busy, or just gone.
+        # It is busy, or was just disconnected.
         return False
 
 
@@ -170,7 +170,7 @@ def _depth_sensor(device: Any) -> Optional[Any]:
 
 
 def _profile(sensor: Any, settings: Settings, name: str) -> Any:
-    """The depth stream that is asked for; of several the camera's default, else the first."""
+    """Returns the requested depth stream; of several the camera's default, else the first."""
     depth = [
         profile.as_video_stream_profile()
         for profile in sensor.get_stream_profiles()
@@ -193,7 +193,7 @@ def _is_same(intrinsics: Any, lens: Lens) -> bool:
 
 
 def _lens(intrinsics: Any, name: str) -> Lens:
-    """The lens of the depth images, which most cameras have rectified."""
+    """Returns the lens of the depth images, which most cameras rectify."""
     distortion: tuple[float, ...] = tuple(intrinsics.coeffs)  # k1, k2, p1, p2, k3
     model = intrinsics.model
     if not any(distortion) or model == rs.distortion.none:

@@ -1,6 +1,6 @@
-"""The frames of a camera as long as a run lasts: it is opened, watched, and opened anew when it stalls or is gone.
+"""The frames of a camera during a run: it is opened, watched, and reopened when it stalls or is lost.
 
-Nothing here knows an SDK. What goes wrong is told once, until it changes.
+Nothing here depends on an SDK. A problem is logged once, until it changes.
 """
 
 import time
@@ -12,19 +12,19 @@ import numpy as np
 from .frame import IN_USE, WRONG_SDK, Camera, EndOfRecording, Fault, Frame, Rectifier, Refused, Settings, text_of
 
 LOOK_S = 0.1
-"""So long is waited for a frame before it is looked around; to ask whether the run is to end is also a sign of life."""
+"""Maximum wait for a frame between checks whether the run is to end, which also show that the stage is alive."""
 TRY_AGAIN_S = 1.0
-"""How often is tried to open a camera that is not there."""
+"""Pause between attempts to open a camera."""
 
 UNREADABLE = "frames unreadable"
 GOES_BACK_NS = 1_000_000_000
-"""Stamps that go back by less are held: the SDK has begun to convert the camera's clock, or the computer's was set."""
+"""Stamps that go back by less are kept rising: the SDK has begun to convert the camera's clock, or the computer's was set."""
 LOST = "frames lost"
 OPENED = "camera opened anew"
 
 
 class Source(Protocol):
-    """What a stream needs of `conicflow.Source`."""
+    """The part of `conicflow.Source` that a stream uses."""
 
 
     @property
@@ -50,11 +50,11 @@ class Stream:
         self._has_opened = self._has_seen = False
         self._stamp_ns = 0
         self._heard = time.monotonic()
-        # A recording that is played back by a process that was started anew goes on where it was.
+        # After a restart of the process, a recording continues where it was.
         self._left_out = source.resume_at if settings.path else 0
 
     def next(self) -> Optional[Frame]:
-        """The next frame; None where the run or the recording is over."""
+        """Returns the next frame, or None when the run or the recording is over."""
         self._heard = time.monotonic()
         while not self._source.stopping:
             if self._camera is None and not self._open():
@@ -74,7 +74,7 @@ class Stream:
         return None
 
     def send(self, frame: Frame) -> None:
-        """Sends a frame; what no reader would take is counted."""
+        """Sends a frame; one that no reader would accept is counted."""
         lens = frame.lens
         camera = (lens.fx, lens.fy, lens.cx, lens.cy)
         try:
@@ -84,7 +84,7 @@ class Stream:
             self._say("warn", str(error))
 
     def close(self) -> None:
-        """Lets go of the camera; that this fails with one that is gone is no news."""
+        """Closes the camera; errors are ignored, because a lost camera may fail to close."""
         camera, self._camera = self._camera, None
         self._last = None
         if camera is not None:
@@ -94,7 +94,7 @@ class Stream:
                 pass
 
     def _open(self) -> bool:
-        """Opens the camera, or waits a while; whether it is open."""
+        """Tries to open the camera, or else waits; returns whether it is open."""
         try:
             self._camera = self._connect()
         except Exception as error:
@@ -111,7 +111,7 @@ class Stream:
         return True
 
     def _refuse_wrong_sdk(self, error: Exception) -> None:
-        """Once a frame has come the SDK is known to be right, and it is the camera that was lost."""
+        """Raises Refused for errors of a wrong SDK. Once a frame has come, the SDK is right, and the camera was lost."""
         if isinstance(error, WRONG_SDK) and not self._has_seen:
             what = f"the camera's SDK is not one that this node can use: {type(error).__name__}: {error}"
             raise Refused(what, "install the version that docs/cameras.md names") from error
@@ -155,14 +155,14 @@ class Stream:
         return Frame(self._rectifier(frame.depth), lens, frame.scale, frame.noise, frame.stamp_ns)
 
     def _rising(self, stamp_ns: int) -> int:
-        """The stamp, or the next after the last, where a clock went back a little."""
+        """Returns the stamp, or one after the last stamp if a clock went back a little."""
         if 0 < self._stamp_ns - stamp_ns < GOES_BACK_NS:
             stamp_ns = self._stamp_ns + 1
         self._stamp_ns = stamp_ns
         return stamp_ns
 
     def _compare(self, camera: Camera, frame: Frame) -> None:
-        """Looks what changed since the last frame: the lens, which is told, and numbers that were left out."""
+        """Compares a frame with the last one: logs a new lens, and counts missing numbers."""
         last, lens = self._last, frame.lens
         if last is None or last.lens != lens:
             self._rectifier = Rectifier(lens) if lens.is_distorted else None
@@ -190,7 +190,7 @@ class Stream:
         self._say("warn", f"{name} is lost: {text_of(error)}\n  it is opened anew as soon as it is there")
 
     def _say(self, level: str, text: str) -> None:
-        # Numbers change, what is wrong does not.
+        # The same problem may come with other numbers.
         key = "".join(letter for letter in text if not letter.isdigit())
         if self._told != key:
             self._told = key
@@ -198,7 +198,7 @@ class Stream:
 
 
 def _fault(frame: Frame) -> Optional[str]:
-    """Why a frame is no depth image of its lens."""
+    """Returns why a frame is no depth image of its lens, or None if it is one."""
     depth, lens = frame.depth, frame.lens
     if not isinstance(depth, np.ndarray) or depth.dtype != np.uint16:
         return f"{getattr(depth, 'dtype', type(depth).__name__)} in place of uint16"

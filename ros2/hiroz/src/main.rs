@@ -1,12 +1,13 @@
-//! A robot with ROS 2 as [hiroz](https://github.com/ZettaScaleLabs/hiroz) speaks it: a node that sends depth images of a ball,
-//! and hears the detections and the markers that `ros2_sink` sends back. Nothing of how it reaches other nodes is ours.
+//! A robot with ROS 2, implemented with [hiroz](https://github.com/ZettaScaleLabs/hiroz): a node that publishes depth images of a
+//! ball, and subscribes to the detections and markers that `ros2_sink` sends back. It communicates with hiroz alone,
+//! independently of our code.
 //!
 //! ```console
 //! $ cargo build --release
 //! $ cargo run --manifest-path ros2/hiroz/Cargo.toml -- target/release/conicflow
 //! ```
 //!
-//! starts a router and `examples/ros2.toml`, and ends with an error unless 60 images were taken, tracks came back for most of
+//! starts a router and `examples/ros2.toml`, and exits with an error unless 60 images were received, tracks came back for most of
 //! them, and the robot sees our nodes and topics.
 
 use anyhow::{Context as _, Result, ensure};
@@ -22,13 +23,13 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 use zenoh::Wait;
 
-/// So many images are asked for.
+/// The number of images that the run takes.
 const FRAMES: usize = 60;
 const PERIOD: Duration = Duration::from_millis(33);
 const PATIENCE: Duration = Duration::from_secs(60);
 const CAMERA: Camera = Camera { width: 320, height: 240, fx: 262.5, fy: 262.5, cx: 159.5, cy: 119.5 };
 
-/// Topic, type and number of the type of what the robot sends.
+/// Topic, type and type hash of what the robot sends.
 const SENT: [[&str; 3]; 2] = [
     [
         "/camera/depth/image_rect_raw",
@@ -41,7 +42,7 @@ const SENT: [[&str; 3]; 2] = [
         "RIHS01_b3dfd68ff46c9d56c80fd3bd4ed22c7a4ddce8c8348f2f59c299e73118e7e275",
     ],
 ];
-/// The same of what it hears.
+/// The same for what it subscribes to.
 const HEARD: [[&str; 3]; 2] = [
     [
         "/conicflow/tracks",
@@ -55,7 +56,7 @@ const HEARD: [[&str; 3]; 2] = [
     ],
 ];
 
-/// Depths in millimetres of a ball of 0.1 m at one metre, before a wall at two metres.
+/// Depths in millimetres of a ball of radius 0.1 m at one metre, in front of a wall at two metres.
 fn ball() -> Vec<u16> {
     let depth = |index: u32| {
         let (x, y) = (
@@ -83,7 +84,7 @@ fn router() -> Result<(zenoh::Session, String)> {
     Ok((zenoh::open(config).wait().map_err(anyhow::Error::msg)?, endpoint))
 }
 
-/// The pipeline, started; it ends when it has got its images.
+/// Starts the pipeline; it ends after its number of images.
 fn start(program: &str, endpoint: &str) -> Result<Child> {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/ros2.toml");
     let connect = |stage: &str| format!("{stage}.connect=[\"{endpoint}\"]");
@@ -105,7 +106,7 @@ fn main() -> Result<()> {
     let mut subscribers = Vec::new();
     for ([topic, kind, hash], count) in HEARD.into_iter().zip(&counts) {
         let count = Arc::clone(count);
-        // An empty list has no more than its header.
+        // An empty list consists of little more than its header.
         let hear = move |message: &[u8]| {
             count.fetch_add(usize::from(message.len() > 100), Ordering::Relaxed);
         };

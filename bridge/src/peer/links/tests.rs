@@ -3,7 +3,7 @@ use crate::edge_tests::edge;
 use crate::wire::seal::secret;
 use conicflow_dataflow::{LinkKey, Receiver};
 
-/// What a bridge knows that has one other machine.
+/// The links of a bridge with one peer.
 fn links_of(machine: &str, peer: &str, journal: Journal, secret: &LinkKey) -> Links {
     links_with(machine, peer, journal, secret, Vec::new())
 }
@@ -25,7 +25,7 @@ fn base(number: u64, secret: &LinkKey) -> Links {
     links_of("base", "robot", Journal::open(None, 7, number), secret)
 }
 
-/// The next heartbeat of a bridge, with acknowledgements of the machine `base`, as it goes onto the link.
+/// The next heartbeat of a bridge as it goes onto the link, with an acknowledgement for the machine `base`.
 fn beat(links: &Links) -> Vec<u8> {
     let ack = Ack { from: "base".to_owned(), topic: "objects".to_owned(), next: links.session, ..Ack::default() };
     let mut said = Vec::new();
@@ -37,7 +37,7 @@ fn hear(links: &Links, machine: &str, beats: &[Vec<u8>]) {
     beats.iter().for_each(|bytes| links.heard(machine, machine, bytes));
 }
 
-/// Lets two bridges talk; what the robot has said.
+/// Exchanges heartbeats between two bridges; returns those of the robot.
 fn talk(robot: &Links, base: &Links) -> Vec<Vec<u8>> {
     let mut said = Vec::new();
     for _ in 0..3 {
@@ -48,7 +48,7 @@ fn talk(robot: &Links, base: &Links) -> Vec<Vec<u8>> {
     said
 }
 
-/// The session of the robot that a base believes, by what it has acknowledged, too.
+/// The session of the robot that a base believes; checks that its acknowledgements are of that session, too.
 fn believed(base: &Links) -> Option<u64> {
     let acknowledged = base.ack_of("robot", "objects").map(|ack| ack.next);
     let session = lock(&base.peers)["robot"].session;
@@ -126,18 +126,18 @@ fn an_edge_is_finished_when_both_ends_know_it_also_to_those_who_are_started_anew
     first_base.finish("robot", "objects");
     assert_eq!(first_base.is_finished("robot", "objects"), (true, false));
     assert!(!first_robot.has_finished("base", "objects"));
-    // The base is started anew before it has told.
+    // The base is restarted before its report arrives.
     let second_base = base(3);
     assert_eq!(second_base.is_finished("robot", "objects"), (true, false));
     talk(&first_robot, &second_base);
     assert!(first_robot.has_finished("base", "objects") && !first_robot.has_finished("base", "tracks"));
-    // The robot is started anew before it has told that it knows.
+    // The robot is restarted before it has reported that it knows.
     let second_robot = robot(4);
     assert!(second_robot.has_finished("base", "objects"));
     talk(&second_robot, &second_base);
     assert_eq!(second_base.is_finished("robot", "objects"), (true, true));
     assert_eq!(second_base.is_finished("robot", "tracks"), (false, false));
-    // Another run of the base wants what is sent from now on.
+    // Another run of the base wants all further messages.
     let next_base = start("base", "robot", &base_folder, 10, 6);
     fall_silent(&second_robot, "base");
     talk(&second_robot, &next_base);
@@ -148,19 +148,19 @@ fn an_edge_is_finished_when_both_ends_know_it_also_to_those_who_are_started_anew
     assert!(second_robot.has_finished("base", "objects"));
     talk(&second_robot, &next_base);
     assert_eq!(next_base.is_finished("robot", "objects"), (true, true));
-    // Another run of the robot sends anew.
+    // Another run of the robot sends its messages anew.
     let other_run = start("robot", "base", &robot_folder, 9, 5);
     fall_silent(&second_base, "robot");
     talk(&other_run, &second_base);
     assert!(!other_run.has_finished("base", "objects"));
 }
 
-/// Lets it be long ago that a peer was heard.
+/// Sets the time when a peer was last heard to long ago.
 fn fall_silent(links: &Links, peer: &str) {
     lock(&links.peers).get_mut(peer).unwrap().heard = Instant::now().checked_sub(DISCONNECTED_AFTER);
 }
 
-/// The runs of which a bridge was told that there are two.
+/// Which double runs a bridge has reported.
 fn rivals(links: &Links, peer: &str) -> [bool; 2] {
     [Rivals::There, Rivals::Here].map(|which| lock(&links.peers)[peer].told_of_rivals.contains(&which))
 }
@@ -177,7 +177,7 @@ fn of_two_runs_of_a_machine_the_first_counts_while_it_is_heard_and_they_are_told
         assert_eq!((believed(&base), base.is_present("robot", 2)), (Some(3), Ok(false)));
     }
     assert_eq!(rivals(&base, "robot"), [true, false]);
-    // Each of the two is told when the other one was heard for long after it.
+    // Each reports the other only if it was heard long after itself.
     assert_eq!((rivals(&first, "base"), rivals(&second, "base")), ([false; 2], [false; 2]));
     for robot in [&first, &second] {
         let mut peers = lock(&robot.peers);
@@ -229,7 +229,7 @@ fn a_heartbeat_of_a_time_that_has_not_come_shuts_out_none_of_the_true_ones() {
         assert_eq!(sent_ns(&base, "robot"), u64::MAX);
         if both {
             hear(&robot, "base", &[yet_to_come(&base)]);
-            // Those tell of the forged ones.
+            // These heartbeats report the forged ones.
             let told = [beat(&robot), beat(&base)];
             hear(&base, "robot", &told[..1]);
             hear(&robot, "base", &told[1..]);
