@@ -1,7 +1,7 @@
 //! Reports why a TLS link fails. Zenoh only logs the failure and retries for ever. This layer reads Zenoh's log and reports each
 //! failed handshake once, saying which side has refused which, and why.
 
-use crate::told_once::ToldOnce;
+use crate::told_once::LoggedOnce;
 use conicflow_dataflow::lock;
 use std::fmt::{Debug, Write as _};
 use std::sync::Mutex;
@@ -13,18 +13,18 @@ use tracing_subscriber::layer::Context;
 use tracing_subscriber::registry::LookupSpan;
 
 /// Reasons to report now, and all that were ever reported.
-static HEARD: Mutex<(Vec<String>, ToldOnce)> = Mutex::new((Vec::new(), ToldOnce::new()));
+static HEARD: Mutex<(Vec<String>, LoggedOnce)> = Mutex::new((Vec::new(), LoggedOnce::new()));
 
 /// A log layer that reads Zenoh's log, in addition to what the user sees of it.
 pub fn ear<S: Subscriber + for<'a> LookupSpan<'a>>() -> impl Layer<S> {
     let targets = Targets::new().with_target("zenoh::net::runtime::orchestrator", Level::DEBUG);
     let links = ["zenoh_link_tls", "zenoh_link_quic", "zenoh_link_commons"].map(|target| (target, Level::WARN));
-    Ear.with_filter(targets.with_targets(links))
+    LogListener.with_filter(targets.with_targets(links))
 }
 
-struct Ear;
+struct LogListener;
 
-impl<S: Subscriber> Layer<S> for Ear {
+impl<S: Subscriber> Layer<S> for LogListener {
     /// Must not log: it runs inside Zenoh's logging.
     fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
         let mut message = Message(String::new());

@@ -2,7 +2,7 @@
 
 use crate::channel::Channel;
 use crate::error::BridgeError;
-use crate::peer::counts::{EdgeCounts, LeftOut};
+use crate::peer::counts::{EdgeCounts, MalformedCounter};
 use crate::peer::heartbeat::Ack;
 use crate::peer::links::Links;
 use crate::reliable::passed_on::PassedOn;
@@ -304,10 +304,10 @@ impl<'a> Receiving<'a> {
         if self.sequence.expected().0 != stream {
             self.follow.clear();
         }
-        if self.sequence.was_misled() {
+        if self.sequence.take_misled() {
             self.refusals.warn_of_forgery("took", "its number was one that has not been reached");
         }
-        if self.sequence.has_refuted() {
+        if self.sequence.take_refuted() {
             self.refusals.warn_of_forgery("left out", "what followed contradicts it");
         }
         verdict
@@ -368,16 +368,16 @@ impl Gate {
 struct Refusals {
     topic: String,
     from: String,
-    left_out: LeftOut,
+    left_out: MalformedCounter,
     /// Counted separately: otherwise a flood of undecodable messages would suppress the reports of forged ones.
-    forged: LeftOut,
+    forged: MalformedCounter,
 }
 
 impl Refusals {
     fn new(edge: &Edge, counts: Arc<EdgeCounts>) -> Self {
         let (topic, from) = (edge.topic.name.clone(), edge.from.clone());
-        let left_out = LeftOut::new(Arc::clone(&counts));
-        Self { topic, from, left_out, forged: LeftOut::new(counts) }
+        let left_out = MalformedCounter::new(Arc::clone(&counts));
+        Self { topic, from, left_out, forged: MalformedCounter::new(counts) }
     }
 
     fn warn_of_forgery(&self, did: &str, why: &str) {

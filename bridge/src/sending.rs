@@ -2,7 +2,7 @@
 //! are acknowledged on a lossless edge.
 
 use crate::error::BridgeError;
-use crate::peer::counts::{EdgeCounts, LeftOut};
+use crate::peer::counts::{EdgeCounts, MalformedCounter};
 use crate::peer::links::Links;
 use crate::reliable::retransmit_queue::RetransmitQueue;
 use crate::reliable::send_log::SendLog;
@@ -147,7 +147,7 @@ impl<'a> Sending<'a> {
                 let (ack, heard) = (self.links.ack_of(&machine, topic), self.links.last_heard(&machine));
                 self.queue.acknowledge(&machine, ack.as_ref(), heard, now);
             }
-            if self.queue.was_overstated() {
+            if self.queue.take_overstated() {
                 self.encoder.left_out.add(format_args!(
                     "left out what machine `{machine}` acknowledges of topic `{topic}`, as it was not sent yet\n  \
                      hint: whoever can connect can send; with the same `key` on all machines only these can"
@@ -242,13 +242,13 @@ struct Encoder<'a> {
     edge: &'a Edge,
     codec: Box<dyn Codec>,
     layout: String,
-    left_out: LeftOut,
+    left_out: MalformedCounter,
 }
 
 impl<'a> Encoder<'a> {
     fn new(edge: &'a Edge, counts: Arc<EdgeCounts>) -> Self {
         let (codec, layout) = (codec_of(&edge.item), edge.item.layout());
-        Self { edge, codec, layout, left_out: LeftOut::new(counts) }
+        Self { edge, codec, layout, left_out: MalformedCounter::new(counts) }
     }
 
     /// Encodes a message; `items` are its items as in memory. A malformed message is counted and dropped.

@@ -7,9 +7,9 @@ const MOST: usize = 16; // [algorithmic]
 
 /// The texts that were logged.
 #[derive(Debug, Default)]
-pub(crate) struct ToldOnce(BTreeSet<String>);
+pub(crate) struct LoggedOnce(BTreeSet<String>);
 
-impl ToldOnce {
+impl LoggedOnce {
     pub(crate) const fn new() -> Self {
         Self(BTreeSet::new())
     }
@@ -31,7 +31,7 @@ mod tests {
 
     #[test]
     fn each_text_is_told_once_and_no_more_than_so_many() {
-        let mut told = ToldOnce::new();
+        let mut told = LoggedOnce::new();
         assert_eq!(["a", "a", "b", "a"].map(|text| told.admits(text)), [true, false, true, false]);
         assert!(told.texts().iter().eq(["a", "b"]));
         let more = (0..2 * MOST).filter(|number| told.admits(&number.to_string())).count();

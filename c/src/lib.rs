@@ -34,6 +34,7 @@ pub struct CDetector {
 
 /// See `conicflow.h`.
 ///
+/// # Safety
 /// `camera` is null or points to a camera; `noise` is null or points to a text that ends in a zero.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn conicflow_create(

@@ -68,7 +68,7 @@ impl FileUse {
     }
 
     /// Error if these files may overwrite the files `read`; `reader` and `writer` describe the parameters.
-    pub fn over_what_is_read(&self, writer: &str, read: &Self, reader: &str) -> Option<Hinted> {
+    pub fn conflict_with_read(&self, writer: &str, read: &Self, reader: &str) -> Option<Hinted> {
         if !self.meets(read) {
             return None;
         }
@@ -90,7 +90,7 @@ impl FileUse {
     }
 
     /// Error if these files may be the same as those of another writer. Files known only by their ending are assumed to differ.
-    pub fn over_what_is_written(&self, writer: &str, other: &Self, other_writer: &str) -> Option<Hinted> {
+    pub fn conflict_with_written(&self, writer: &str, other: &Self, other_writer: &str) -> Option<Hinted> {
         let are_known = [self, other].iter().all(|files| !matches!(files.names, Names::Ending(_)));
         (are_known && self.meets(other)).then(|| {
             let what = format!("{writer} writes what {other_writer} writes, too: `{}`", self.path.display());
@@ -100,7 +100,7 @@ impl FileUse {
 
     /// Error if this file, which the stage would start to write during a run, exists already and is not one of `before`, the
     /// stage's files so far: it would be continued as if it were.
-    pub(crate) fn over_what_is_there(&self, writer: &str, before: &[Self]) -> Option<Hinted> {
+    pub(crate) fn conflict_with_existing(&self, writer: &str, before: &[Self]) -> Option<Hinted> {
         let is_new = self.names == Names::Known && self.path.is_file() && !before.iter().any(|own| self.meets(own));
         let what = || format!("{writer} would go on with `{}`, which is there already", self.path.display());
         is_new.then(|| Hinted::new(what(), "name another file, or move that one away"))
@@ -220,12 +220,12 @@ mod tests {
         for same in
             ["frames/0.png", "frames/../frames/./0.png", "link/0.png", "link.png", "other.png", "new/../link/0.png"]
         {
-            let told = one(&folder, same).over_what_is_read("a", &frame, "b").unwrap();
+            let told = one(&folder, same).conflict_with_read("a", &frame, "b").unwrap();
             assert!(told.what.ends_with("which b reads"), "{told}");
-            assert!(one(&folder, same).over_what_is_written("a", &frame, "b").is_some(), "{same}");
+            assert!(one(&folder, same).conflict_with_written("a", &frame, "b").is_some(), "{same}");
         }
         for other in ["frames/1.png", "0.png", "frames", "frames/0.png/0.png", "circle"] {
-            assert!(one(&folder, other).over_what_is_read("a", &frame, "b").is_none(), "{other}");
+            assert!(one(&folder, other).conflict_with_read("a", &frame, "b").is_none(), "{other}");
         }
     }
 
@@ -264,15 +264,18 @@ mod tests {
         let numbered = |prefix: &str| FileUse::numbered("path", folder.path().join("link"), prefix, ".png");
         let frame = one(&folder, "frames/0.png");
         for name in ["frames", "link", "link/."] {
-            assert!(pictures(name).over_what_is_read("a", &frame, "b").is_some(), "{name}");
-            assert!(one(&folder, "frames/new.PNG").over_what_is_read("a", &pictures(name), "b").is_some(), "{name}");
-            assert!(one(&folder, "frames/all.png").over_what_is_written("a", &pictures(name), "b").is_none(), "{name}");
-            assert!(numbered("frame_").over_what_is_read("a", &pictures(name), "b").is_some(), "{name}");
+            assert!(pictures(name).conflict_with_read("a", &frame, "b").is_some(), "{name}");
+            assert!(one(&folder, "frames/new.PNG").conflict_with_read("a", &pictures(name), "b").is_some(), "{name}");
+            assert!(
+                one(&folder, "frames/all.png").conflict_with_written("a", &pictures(name), "b").is_none(),
+                "{name}"
+            );
+            assert!(numbered("frame_").conflict_with_read("a", &pictures(name), "b").is_some(), "{name}");
         }
         assert!(!pictures(".").meets(&frame) && !pictures("frames").meets(&one(&folder, "frames/camera.json")));
         assert!(numbered("").meets(&frame) && !numbered("frame_").meets(&frame));
-        assert!(numbered("frame_").over_what_is_written("a", &numbered("frame_"), "b").is_some());
-        assert!(numbered("frame_").over_what_is_written("a", &numbered("sheet_"), "b").is_none());
+        assert!(numbered("frame_").conflict_with_written("a", &numbered("frame_"), "b").is_some());
+        assert!(numbered("frame_").conflict_with_written("a", &numbered("sheet_"), "b").is_none());
         assert!(numbered("sheet_").meets(&one(&folder, "frames/sheet_0001.png")));
         assert!(!numbered("sheet_").meets(&one(&folder, "frames/sheet_.png")));
     }

@@ -32,7 +32,7 @@ type Labels = fn(&AnyMessage<'_>, &mut dyn FnMut(&'static str));
 
 /// An item type.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-#[serde(try_from = "Told", into = "Told")]
+#[serde(try_from = "SerializedItemType", into = "SerializedItemType")]
 pub struct ItemType {
     name: Cow<'static, str>,
     type_name: Cow<'static, str>,
@@ -280,7 +280,7 @@ impl<'a> AnyMessage<'a> {
 
 /// Serialised form of an item type in a plan: the name for a built-in one, else also the description of the pipeline file.
 #[derive(Serialize, Deserialize)]
-struct Told {
+struct SerializedItemType {
     name: String,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     described: Option<Description>,
@@ -293,7 +293,7 @@ struct Description {
     usual_length: usize,
 }
 
-impl From<ItemType> for Told {
+impl From<ItemType> for SerializedItemType {
     fn from(item: ItemType) -> Self {
         let described = match &item.form {
             Form::Known(..) => None,
@@ -309,20 +309,20 @@ impl From<ItemType> for Told {
 
 /// Reason why an item type of a plan cannot be used.
 #[derive(Debug, thiserror::Error)]
-enum ToldFault {
+enum ItemTypeFault {
     #[error("no item type is called `{0}`")]
     Unknown(String),
     #[error(transparent)]
     Layout(#[from] LayoutFault),
 }
 
-impl TryFrom<Told> for ItemType {
-    type Error = ToldFault;
+impl TryFrom<SerializedItemType> for ItemType {
+    type Error = ItemTypeFault;
 
-    fn try_from(told: Told) -> Result<Self, ToldFault> {
+    fn try_from(told: SerializedItemType) -> Result<Self, ItemTypeFault> {
         let Some(Description { type_name, fields, usual_length }) = told.described else {
             let row = BUILT_IN.iter().find(|row| row.name == told.name);
-            return row.cloned().ok_or(ToldFault::Unknown(told.name));
+            return row.cloned().ok_or(ItemTypeFault::Unknown(told.name));
         };
         Ok(Self::described(&told.name, &type_name, Layout::new(&fields)?, usual_length))
     }

@@ -92,7 +92,7 @@ pub fn error_text(error: impl Display) -> String {
 }
 
 /// Minimum interval between two warnings of the same kind.
-const SELDOM: Duration = Duration::from_secs(1);
+const WARNING_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Limits the rate of a warning that may occur with each message.
 #[derive(Clone, Debug, Default)]
@@ -104,7 +104,7 @@ pub struct ThrottledWarning {
 impl ThrottledWarning {
     /// Logs the warning, or counts it for the next one where the last was less than a second ago.
     pub fn warn(&mut self, what: impl Display) {
-        if self.told.is_some_and(|told| told.elapsed() < SELDOM) {
+        if self.told.is_some_and(|told| told.elapsed() < WARNING_INTERVAL) {
             self.untold += 1;
             return;
         }

@@ -134,16 +134,16 @@ impl Plan {
         let others: Vec<_> = other.files_written(nodes).collect();
         self.files_written(nodes).find_map(|(writer, files)| {
             let beside = |writer: &str| format!("{writer} of the running pipeline `{}`", other.pipeline);
-            others.iter().find_map(|(other, written)| files.over_what_is_written(&writer, written, &beside(other)))
+            others.iter().find_map(|(other, written)| files.conflict_with_written(&writer, written, &beside(other)))
         })
     }
 
     /// Finds a fault of the files that a stage would start to write if it replaced that of this plan. `nodes` has the nodes of
     /// both.
-    pub fn over_what_is_there(&self, successor: &PlannedStage, nodes: &[Node]) -> Option<Hinted> {
+    pub fn conflict_with_existing(&self, successor: &PlannedStage, nodes: &[Node]) -> Option<Hinted> {
         let of = |stage| self.files_of(stage, nodes).map(|(_, files)| files);
         let before: Vec<_> = self.stage(&successor.name).into_iter().flat_map(of).collect();
-        self.files_of(successor, nodes).find_map(|(writer, files)| files.over_what_is_there(&writer, &before))
+        self.files_of(successor, nodes).find_map(|(writer, files)| files.conflict_with_existing(&writer, &before))
     }
 
     fn files_written<'a>(&'a self, nodes: &'a [Node]) -> impl Iterator<Item = (String, FileUse)> + 'a {

@@ -15,7 +15,7 @@
 //! steeper than 45 degrees, in columns where it is flatter.
 
 use crate::bisection::end_of;
-use crate::simulator::raster::{NOBODY, Raster, ray};
+use crate::simulator::raster::{NO_OWNER, Raster, ray};
 use conicflow_geometry::{Coefficients, Conical, Sphere, Surface, gradient};
 use conicflow_messages::{NoiseModel, Object, ObjectKind};
 use nalgebra::{SMatrix, SVector, Vector3};
@@ -181,7 +181,7 @@ impl View<'_> {
         }
         let [here, there] = [here, there].map(|[u, v]| self.raster.index(u, v));
         let owner = self.raster.owner[there];
-        owner != self.owner && (owner == NOBODY || self.raster.depth[there] > self.raster.depth[here])
+        owner != self.owner && (owner == NO_OWNER || self.raster.depth[there] > self.raster.depth[here])
     }
 
     /// Returns the ray between a pixel and its neighbour that touches the surface; `None` if the scan line leaves the object at

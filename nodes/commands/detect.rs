@@ -170,9 +170,9 @@ fn refuse_to_overwrite(arguments: &DetectArguments) -> Result<()> {
     let in_words = |files: &FileUse| format!("`{}`", files.key);
     for (index, files) in written.iter().enumerate() {
         let writer = in_words(files);
-        let over_read = read.iter().find_map(|read| files.over_what_is_read(&writer, read, &in_words(read)));
+        let over_read = read.iter().find_map(|read| files.conflict_with_read(&writer, read, &in_words(read)));
         let mut earlier = written[..index].iter();
-        let over_written = || earlier.find_map(|other| files.over_what_is_written(&writer, other, &in_words(other)));
+        let over_written = || earlier.find_map(|other| files.conflict_with_written(&writer, other, &in_words(other)));
         over_read.or_else(over_written).map_or(Ok(()), Err)?;
     }
     Ok(())

@@ -10,7 +10,7 @@ use anyhow::{Context as _, Result, bail};
 use clap::Args;
 use conicflow_dataflow::{NO_RUN, Requirements, Watching, monotonic_ns};
 use conicflow_messages::{Header, Hinted, Text};
-use conicflow_view::give_way;
+use conicflow_view::lower_priority;
 use std::collections::{BTreeMap, HashSet};
 use std::path::PathBuf;
 
@@ -40,7 +40,7 @@ pub struct RecordArguments {
 /// # Errors
 /// There is no such pipeline or topic, a topic cannot be read, or the file cannot be written.
 pub fn record(arguments: &RecordArguments) -> Result<()> {
-    give_way();
+    lower_priority();
     if !is_recording(&arguments.out) {
         let what = format!("`{}` does not end with `.mcap`, by which a recording is known", arguments.out.display());
         bail!(Hinted::new(what, format!("name it `{}`", arguments.out.with_extension("mcap").display())));

@@ -46,7 +46,7 @@ pub fn swap(arguments: &SwapArguments) -> anyhow::Result<()> {
             "end the run, and start it with the change"
         ));
     }
-    let successor = changed.stage(name).and_then(|successor| plan.over_what_is_there(successor, NODES));
+    let successor = changed.stage(name).and_then(|successor| plan.conflict_with_existing(successor, NODES));
     successor.map_or(Ok(()), Err)?;
     Requirements::of(&changed, NODES).look_for_successor(stage)?;
     running.swap(name, changed)?;

@@ -2,7 +2,7 @@
 
 use super::topic::PipelineName;
 use conicflow_dataflow::{PipelineActivity, StageActivity, Table, link_table, observe};
-use conicflow_view::give_way;
+use conicflow_view::lower_priority;
 use rustix::termios::tcgetwinsize;
 use serde_json::json;
 use std::io::{IsTerminal, Write, stdout};
@@ -18,7 +18,7 @@ const SILENT_S: f64 = 2.0;
 /// # Errors
 /// The runs cannot be read, no pipeline of this name runs, or standard output cannot be written.
 pub fn top(once: bool, of: &PipelineName) -> anyhow::Result<()> {
-    give_way();
+    lower_priority();
     let name = of.named()?;
     let mut before = observe()?;
     loop {

@@ -9,7 +9,7 @@ use conicflow_dataflow::ports::{Delivery, Topic};
 use conicflow_dataflow::{
     PipelineActivity, Requirements, RunningPipeline, Table, TopicActivity, WatchError, Watching, monotonic_ns, observe,
 };
-use conicflow_view::give_way;
+use conicflow_view::lower_priority;
 use std::io::{Write, stdout};
 use std::thread::sleep;
 use std::time::Duration;
@@ -57,7 +57,7 @@ pub struct PipelineName {
 /// # Errors
 /// There is no such pipeline or topic, it cannot be read, or standard output cannot be written.
 pub fn topic(command: &TopicCommand) -> anyhow::Result<()> {
-    give_way();
+    lower_priority();
     match command {
         TopicCommand::List { of } => list(&of.find()?),
         TopicCommand::Echo(arguments) => echo(arguments),

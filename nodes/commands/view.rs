@@ -6,7 +6,7 @@ use anyhow::{Result, bail};
 use clap::Args;
 use conicflow_dataflow::termination_flag;
 use conicflow_messages::Hinted;
-use conicflow_view::{Display, Listen, Page, Server, give_way};
+use conicflow_view::{Display, Listen, Page, Server, lower_priority};
 use std::io::{Write, stdout};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -37,7 +37,7 @@ pub struct ViewArguments {
 /// # Errors
 /// The address cannot be used, or there is no such recording.
 pub fn view(arguments: &ViewArguments) -> Result<()> {
-    give_way();
+    lower_priority();
     let terminated = termination_flag()?;
     let display = Arc::new(Display::default());
     let listen = Listen::read(arguments.listen.as_deref(), arguments.token.as_deref())?;

@@ -127,12 +127,22 @@ impl Files {
         let is_only = self.files.len() == 1;
         let left = self.files.clone().into_iter();
         let stop = self.stop.clone();
-        Messages { left, open: None, topics, from_ns: None, until_ns: None, is_only, is_told: false, damaged: 0, stop }
+        Messages {
+            left,
+            open: None,
+            topics,
+            from_ns: None,
+            until_ns: None,
+            is_only,
+            is_reported: false,
+            damaged: 0,
+            stop,
+        }
     }
 
     /// Returns the same messages, without log lines about damaged files.
     pub fn messages_again(&self, topics: &[&str]) -> Messages {
-        Messages { is_told: true, ..self.messages(topics) }
+        Messages { is_reported: true, ..self.messages(topics) }
     }
 
     /// Returns the log times of the first and the last message; `None` if there are no messages.
@@ -260,7 +270,7 @@ pub struct Messages {
     /// Whether there is only one file.
     is_only: bool,
     /// Whether damage was already logged.
-    is_told: bool,
+    is_reported: bool,
     /// Number of damaged places in the files before this one.
     damaged: u64,
     stop: Stop,
@@ -319,7 +329,7 @@ impl Messages {
                     // The messages before `from_ns` were not read, so that the file may have some.
                     let is_only = self.is_only && self.from_ns.is_none();
                     let damage = damage(&error, &file.path.display(), *count, is_only)?;
-                    if !self.is_told {
+                    if !self.is_reported {
                         tracing::warn!("{damage}");
                     }
                     self.close();

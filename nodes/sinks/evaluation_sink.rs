@@ -121,7 +121,7 @@ impl<T: Claim> Stage for EvaluationSink<T> {
     }
 
     fn finish(&mut self) -> Result<(), StageError> {
-        self.details.iter().for_each(JsonLines::tell_if_earlier);
+        self.details.iter().for_each(JsonLines::warn_if_earlier);
         std::io::stdout().write_all(self.evaluation.report()?.as_bytes())?;
         Ok(self.path.as_deref().map_or(Ok(()), |path| write_rows(Some(path), &[self.evaluation.row()]))?)
     }

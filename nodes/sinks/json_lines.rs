@@ -123,7 +123,7 @@ impl JsonLines {
     }
 
     /// Warns if the file still has the content of an earlier run, as nothing was written.
-    pub fn tell_if_earlier(&self) {
+    pub fn warn_if_earlier(&self) {
         if let Destination::File { file, path, .. } = &self.destination
             && file.is_earlier()
         {

@@ -50,7 +50,7 @@ pub struct McapSink<T> {
     is_lossless: bool,
     /// Type of the items.
     item: ItemType,
-    is_told: bool,
+    is_reported: bool,
     items: PhantomData<T>,
 }
 
@@ -87,7 +87,7 @@ impl<T: Item> Stage for McapSink<T> {
         let recorder = Recorder::create(&path, config.limits(), context.run, context.resume_at > 0)?;
         let is_lossless = context.delivery == Some(Delivery::Lossless);
         let item = context.input.clone().unwrap_or(const { ItemType::of::<T>() });
-        Ok(Self { recorder, is_lossless, item: shown(item), is_told: false, items: PhantomData })
+        Ok(Self { recorder, is_lossless, item: shown(item), is_reported: false, items: PhantomData })
     }
 
     fn side_inputs() -> &'static [SideInput] {
@@ -107,8 +107,8 @@ impl<T: Item> Stage for McapSink<T> {
         let message = AnyMessage { header: input.header, item: &self.item, bytes: bytemuck::cast_slice(input.items) };
         recorded.push(self.record(self.item.name(), &message)?);
         let left_out = recorded.iter().filter(|recorded| **recorded == Recorded::Full).count();
-        if left_out > 0 && !self.is_told {
-            self.is_told = true;
+        if left_out > 0 && !self.is_reported {
+            self.is_reported = true;
             tracing::warn!("the recording has reached `limit_mb`: no more is recorded");
         }
         if self.is_lossless {

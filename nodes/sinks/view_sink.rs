@@ -9,7 +9,7 @@ use conicflow_dataflow::{
     AnyMessage, ConfigFault, Context, ItemType, Output, SideInput, SideInputs, Stage, StageError, monotonic_ns,
 };
 use conicflow_messages::{Hinted, Item, Message, Nothing};
-use conicflow_view::{Depth, Display, Frame, Listen, ListenFault, Page, Server, give_way};
+use conicflow_view::{Depth, Display, Frame, Listen, ListenFault, Page, Server, lower_priority};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::marker::PhantomData;
@@ -94,7 +94,7 @@ impl<T: Item> Stage for ViewSink<T> {
 
 /// Shows the state of the run's stages on the page once a second while a browser is connected, and pauses the run on request.
 fn show_graph(shown: &Weak<Display>) {
-    give_way();
+    lower_priority();
     let (mut watch, mut pipeline, mut looked) = (GraphWatch::default(), None::<String>, Instant::now());
     while let Some(display) = shown.upgrade() {
         if let Some((command, pipeline)) = display.next_command(END_CHECK_PERIOD).zip(pipeline.as_ref()) {

@@ -42,7 +42,7 @@ impl Live {
         let wanted = Arc::new(Mutex::new(Wanted { pipeline, depth_topic: None }));
         let live = Self { display, wanted, shown: Arc::default() };
         let (display, wanted, shown) = (Arc::clone(&live.display), Arc::clone(&live.wanted), Arc::clone(&live.shown));
-        thread::Builder::new().name("wishes".to_owned()).spawn(move || take_wishes(&display, &wanted, &shown))?;
+        thread::Builder::new().name("wishes".to_owned()).spawn(move || take_commands(&display, &wanted, &shown))?;
         let (display, shown) = (Arc::clone(&live.display), Arc::clone(&live.shown));
         thread::Builder::new().name("graph".to_owned()).spawn(move || show_graph(&display, &shown))?;
         Ok(live)
@@ -62,7 +62,7 @@ impl Live {
             };
             *lock(&self.shown) = chosen.as_ref().map(|chosen| chosen.plan.pipeline.clone());
             match chosen {
-                None => self.tell_waiting(wanted.pipeline.as_deref()),
+                None => self.show_waiting(wanted.pipeline.as_deref()),
                 // A paused run is shown also without a browser, so that one that comes back sees its next step.
                 Some(chosen) if self.display.is_watched() || chosen.sources().paused => self.attach(&chosen, &wanted),
                 Some(_) => {}
@@ -72,7 +72,7 @@ impl Live {
         Ok(())
     }
 
-    fn tell_waiting(&self, pipeline: Option<&str>) {
+    fn show_waiting(&self, pipeline: Option<&str>) {
         let notice = match pipeline {
             Some(name) => format!("no pipeline `{name}` runs; it is waited for"),
             None => "no pipeline runs; it is waited for one: start it with `conicflow run`".to_owned(),
@@ -164,7 +164,7 @@ impl<'a> Topics<'a> {
 }
 
 /// Takes the commands of browsers.
-fn take_wishes(display: &Display, wanted: &Mutex<Wanted>, shown: &Mutex<Option<String>>) {
+fn take_commands(display: &Display, wanted: &Mutex<Wanted>, shown: &Mutex<Option<String>>) {
     loop {
         match display.next_command(PERIOD) {
             Some(Command::Pipeline { name }) => {

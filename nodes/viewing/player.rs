@@ -10,7 +10,7 @@ use anyhow::{Context as _, Error, Result};
 use conicflow_dataflow::{BUILT_IN, ItemType};
 use conicflow_lab::score::pairing::{Difference, pair_up};
 use conicflow_messages::{Header, Hinted, Item, Object, Track};
-use conicflow_view::{Command, Compared, Depth, Display, Frame, List, Pair, Player as Told};
+use conicflow_view::{Command, Compared, Depth, Display, Frame, List, Pair, Player as PlayerState};
 use std::collections::VecDeque;
 use std::path::Path;
 use std::sync::Arc;
@@ -344,7 +344,7 @@ impl Player {
     fn tell(&self) {
         let seconds = |ns: u64| ns.saturating_sub(self.begin_ns) as f64 * 1e-9;
         let (at_s, length_s) = (seconds(self.at_ns), seconds(self.end_ns));
-        self.display.tell_player(Told { at_s, length_s, plays: self.plays, speed: self.speed });
+        self.display.publish_player(PlayerState { at_s, length_s, plays: self.plays, speed: self.speed });
     }
 }
 

@@ -132,7 +132,7 @@ pub struct Ros2Source<M> {
     /// The images that were received and not sent yet, in order.
     waiting: VecDeque<Waiting>,
     /// How long an image waits for its CameraInfo.
-    pub(crate) patience_with_camera: Duration,
+    pub(crate) camera_timeout: Duration,
     /// How long an image waits for the transforms of its time.
     pub(crate) patience_with_pose: Duration,
     /// Since when images come without a known camera.
@@ -144,7 +144,7 @@ pub struct Ros2Source<M> {
     notices: Notices,
     /// When the last image came, and whether the silence since then was reported.
     heard: (Instant, bool),
-    is_told: bool,
+    is_reported: bool,
     empty: EmptyFrames,
     stop: Stop,
 }
@@ -183,14 +183,14 @@ impl<M: Middleware> Source for Ros2Source<M> {
             config,
             transforms: Transforms::live(),
             waiting: VecDeque::new(),
-            patience_with_camera: CAMERA_INFO_TIMEOUT,
+            camera_timeout: CAMERA_INFO_TIMEOUT,
             patience_with_pose: TRANSFORM_TIMEOUT,
             without_camera: None,
             without_pose: None,
             checked: None,
             notices: Notices::default(),
             heard: (Instant::now(), false),
-            is_told: context.resume_at > 0,
+            is_reported: context.resume_at > 0,
             empty: if context.resume_at > 0 { EmptyFrames::silent() } else { EmptyFrames::default() },
             stop: context.stop.clone(),
         })
@@ -244,7 +244,7 @@ impl<M: Middleware> Ros2Source<M> {
         if self.cameras.are_known() {
             return false;
         }
-        self.without_camera.get_or_insert_with(Instant::now).elapsed() < self.patience_with_camera
+        self.without_camera.get_or_insert_with(Instant::now).elapsed() < self.camera_timeout
     }
 
     /// Processes the CameraInfo messages and transforms that have come.
@@ -348,7 +348,7 @@ impl<M: Middleware> Ros2Source<M> {
     /// Reports once what the images are like, so that a wrong scale is noticed.
     fn tell(&mut self, header: &Header, pixels: &[u16]) {
         let tell = || report_frame("images", &self.ends[IMAGES].topic, &header.camera, header.depth_scale, pixels);
-        self.is_told = self.is_told || tell();
+        self.is_reported = self.is_reported || tell();
     }
 
     /// Reports that no images come, and which topics there are instead.

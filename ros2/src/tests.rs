@@ -91,7 +91,7 @@ impl Source for Patient {
 
     fn new(config: SourceConfig, context: &Context) -> Result<Self, StageError> {
         let mut source = Ros2Source::new(config, context)?;
-        (source.patience_with_camera, source.patience_with_pose) = (Duration::MAX, Duration::MAX);
+        (source.camera_timeout, source.patience_with_pose) = (Duration::MAX, Duration::MAX);
         Ok(Self { source, begin: Instant::now() })
     }
 

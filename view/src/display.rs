@@ -159,7 +159,7 @@ impl Display {
     }
 
     /// Updates the playback state; a new position alone is sent with the next frame.
-    pub fn tell_player(&self, player: Player) {
+    pub fn publish_player(&self, player: Player) {
         let mut state = self.state();
         let same_way = |known: &Player| known.plays == player.plays && known.speed == player.speed;
         if !state.player.as_ref().is_some_and(same_way) {

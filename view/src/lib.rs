@@ -26,4 +26,4 @@ pub use frame::{Compared, Depth, Frame, List, Pair};
 pub use gatherer::Gatherer;
 pub use request::Request;
 pub use response::Response;
-pub use server::{Answer, ServeError, Server, give_way};
+pub use server::{Answer, ServeError, Server, lower_priority};

@@ -22,7 +22,7 @@ const STACK_BYTES: usize = 256 * 1024;
 const NICENESS: i32 = 10;
 
 /// Lowers the priority of this thread, and of those that it starts, in favour of stages. Has no effect if that is not allowed.
-pub fn give_way() {
+pub fn lower_priority() {
     // On Linux each thread has its own niceness.
     rustix::process::nice(NICENESS).ok();
 }
@@ -127,7 +127,7 @@ fn reachable(unspecified: IpAddr) -> IpAddr {
 }
 
 fn accept(listener: &TcpListener, shared: &Arc<Shared>, ends: &AtomicBool) {
-    give_way();
+    lower_priority();
     for stream in listener.incoming() {
         if ends.load(Ordering::Relaxed) {
             return;

@@ -78,12 +78,12 @@ impl EdgeCounts {
 }
 
 /// Counts the malformed messages of an edge, and logs them now and then.
-pub(crate) struct LeftOut {
+pub(crate) struct MalformedCounter {
     counts: Arc<EdgeCounts>,
     warning: Mutex<ThrottledWarning>,
 }
 
-impl LeftOut {
+impl MalformedCounter {
     pub(crate) fn new(counts: Arc<EdgeCounts>) -> Self {
         Self { counts, warning: Mutex::default() }
     }
@@ -119,7 +119,7 @@ mod tests {
     #[test]
     fn what_is_left_out_is_reported_as_malformed_each_time_however_seldom_it_is_told() {
         let counts = Arc::<EdgeCounts>::default();
-        let left_out = LeftOut::new(Arc::clone(&counts));
+        let left_out = MalformedCounter::new(Arc::clone(&counts));
         (0..3).for_each(|_| left_out.add(format_args!("its image has no pixels")));
         assert_eq!(counts.report("depth", "out", &EdgeReport::default(), 1.0).malformed, 3);
         counts.input().malformed = 2;

@@ -19,7 +19,7 @@ pub(crate) struct FinishedEdge {
 
 /// The acknowledged end of a writer's stream. The sending machine may have left since.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-struct HeardEnd {
+struct AcknowledgedEnd {
     from: String,
     topic: String,
     writer: String,
@@ -35,7 +35,7 @@ struct Entries {
     heard: BTreeSet<String>,
     /// Finished edges, each with the run of the receiving machine that wants nothing more; its next run may.
     finished: BTreeSet<(FinishedEdge, u64)>,
-    ends: BTreeSet<HeardEnd>,
+    ends: BTreeSet<AcknowledgedEnd>,
 }
 
 /// The journal of a bridge.
@@ -105,7 +105,7 @@ impl Journal {
 
     pub(crate) fn note_end(&mut self, from: &str, topic: &str, writer: &str, count: u64) {
         let [from, topic, writer] = [from, topic, writer].map(str::to_owned);
-        if self.entries.ends.insert(HeardEnd { from, topic, writer, count }) {
+        if self.entries.ends.insert(AcknowledgedEnd { from, topic, writer, count }) {
             self.write();
         }
     }

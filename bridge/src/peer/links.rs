@@ -11,7 +11,7 @@
 use super::clock::{Clock, Exchange};
 use super::heartbeat::{Ack, ClockSample, Heartbeat, News, Route};
 use super::journal::{FinishedEdge, Journal};
-use crate::told_once::ToldOnce;
+use crate::told_once::LoggedOnce;
 use crate::wire::seal::Seal;
 use crate::wire::{WireError, decode_note, encode_note, layouts};
 use conicflow_dataflow::ports::Delivery;
@@ -57,7 +57,7 @@ pub(crate) struct Peer {
     /// The last heartbeat of each session of the peer, proved or not, the newest last.
     samples: VecDeque<ClockSample>,
     /// By session: when the last of this bridge's heartbeats that the session has reported was sent.
-    told_ns: BTreeMap<u64, u64>,
+    reported_ns: BTreeMap<u64, u64>,
     /// The session that has proved to be the present one.
     session: Option<u64>,
     /// When the heartbeat from here that proved the session was sent, by this clock, and received, by the peer's clock.
@@ -67,7 +67,7 @@ pub(crate) struct Peer {
     /// A session of another run that is heard at the same time as `session`.
     rival: Option<Rival>,
     /// Which double runs were reported to the user.
-    told_of_rivals: BTreeSet<Rivals>,
+    reported_rivals: BTreeSet<Rivals>,
     /// Whether the peer has received a report of its present session, and so knows the session here.
     knows_us: bool,
     clock: Clock,
@@ -76,7 +76,7 @@ pub(crate) struct Peer {
     acks: BTreeMap<String, Ack>,
     /// The edges that the peer knows to be finished.
     finished: BTreeSet<FinishedEdge>,
-    refused: ToldOnce,
+    refused: LoggedOnce,
     /// When something in the peer's name was last refused.
     refused_at: Option<Instant>,
     unlike: Vec<Route>,
@@ -88,7 +88,7 @@ pub(crate) struct Peer {
 struct Rival {
     session: u64,
     /// When the first heartbeat from here that it has reported was sent.
-    told_ns: u64,
+    reported_ns: u64,
 }
 
 /// Which machine runs twice.
@@ -170,11 +170,11 @@ impl Links {
             self.owes_answer.store(true, Ordering::Relaxed);
         }
         let Some(own) = said.first() else { return };
-        let told_ns = own.sent_ns;
-        if !peer.believes(&heartbeat, told_ns, now) {
+        let reported_ns = own.sent_ns;
+        if !peer.believes(&heartbeat, reported_ns, now) {
             return;
         }
-        peer.answered_ns = peer.answered_ns.max(told_ns);
+        peer.answered_ns = peer.answered_ns.max(reported_ns);
         if !is_connected(peer, now) {
             tracing::info!("the link to machine `{machine}` is up");
             peer.since = Some(now);
@@ -184,12 +184,12 @@ impl Links {
         lock(&self.journal).note_heard(machine);
         self.compare(machine, peer, &heartbeat.routes);
         if peer.session.replace(heartbeat.session) != Some(heartbeat.session) {
-            (peer.proved_ns, peer.rival) = ([told_ns, own.received_ns], None);
+            (peer.proved_ns, peer.rival) = ([reported_ns, own.received_ns], None);
             peer.knows_us = false;
             peer.clock.clear();
             peer.acks.clear();
         }
-        self.look_for_rivals(machine, peer, &heartbeat.samples, told_ns);
+        self.look_for_rivals(machine, peer, &heartbeat.samples, reported_ns);
         peer.clock.add([own.sent_ns, own.received_ns, heartbeat.sent_ns, now_ns]);
         let News { acks, finished } = heartbeat.news;
         let acks = acks.into_iter().filter(|ack| ack.from == self.machine);
@@ -199,9 +199,9 @@ impl Links {
 
     /// Reports once that the other machine, or this one, runs twice. A restarted run is no second run: nothing is heard of the
     /// run before it that was sent after the new one began.
-    fn look_for_rivals(&self, machine: &str, peer: &mut Peer, samples: &[ClockSample], told_ns: u64) {
-        let is_twice_there = peer.rival.is_some_and(|rival| told_ns > rival.told_ns);
-        if is_twice_there && peer.told_of_rivals.insert(Rivals::There) {
+    fn look_for_rivals(&self, machine: &str, peer: &mut Peer, samples: &[ClockSample], reported_ns: u64) {
+        let is_twice_there = peer.rival.is_some_and(|rival| reported_ns > rival.reported_ns);
+        if is_twice_there && peer.reported_rivals.insert(Rivals::There) {
             tracing::error!(
                 "machine `{machine}` runs twice; what counts is the run that was heard first, as long as it is heard\n  \
                  hint: end one of the two"
@@ -211,7 +211,7 @@ impl Links {
         let begun_ns = peer.proved_ns[1].saturating_add(REPORT_MISSING_AFTER.as_nanos() as u64);
         let is_other = |sample: &ClockSample| sample.machine == self.machine && sample.session != self.session;
         let is_twice_here = samples.iter().any(|sample| is_other(sample) && sample.received_ns > begun_ns);
-        if is_twice_here && peer.told_of_rivals.insert(Rivals::Here) {
+        if is_twice_here && peer.reported_rivals.insert(Rivals::Here) {
             tracing::error!(
                 "machine `{machine}` hears another run of machine `{}`, too; what counts there is the run that it heard \
                  first\n  hint: end one of the two; somebody may also repeat what this machine once sent",
@@ -419,41 +419,41 @@ impl Peer {
     }
 
     /// Notes a heartbeat. Returns `None` if it is not later than another of its session, else whether its session is new. The
-    /// later heartbeat is the one that reports a later heartbeat of this bridge (sent at `told_ns`); only if these are equal does
+    /// later heartbeat is the one that reports a later heartbeat of this bridge (sent at `reported_ns`); only if these are equal does
     /// the peer's own time decide. So a forged time in the future does not block genuine heartbeats.
-    fn note(&mut self, sample: ClockSample, told_ns: Option<u64>) -> Option<bool> {
+    fn note(&mut self, sample: ClockSample, reported_ns: Option<u64>) -> Option<bool> {
         let known = self.samples.iter().position(|known| known.session == sample.session);
-        let last_told_ns = self.told_ns.get(&sample.session).copied().unwrap_or_default();
-        let told_ns = told_ns.unwrap_or(last_told_ns);
-        if known.is_some_and(|at| (last_told_ns, self.samples[at].sent_ns) >= (told_ns, sample.sent_ns)) {
+        let last_told_ns = self.reported_ns.get(&sample.session).copied().unwrap_or_default();
+        let reported_ns = reported_ns.unwrap_or(last_told_ns);
+        if known.is_some_and(|at| (last_told_ns, self.samples[at].sent_ns) >= (reported_ns, sample.sent_ns)) {
             return None;
         }
         // The session that has proved itself is never displaced.
         let other = || self.samples.iter().position(|known| Some(known.session) != self.session);
         let gives_way = known.or_else(|| other().filter(|_| self.samples.len() == SESSIONS));
         if let Some(sample) = gives_way.and_then(|at| self.samples.remove(at)) {
-            self.told_ns.remove(&sample.session);
+            self.reported_ns.remove(&sample.session);
         }
-        self.told_ns.insert(sample.session, told_ns);
+        self.reported_ns.insert(sample.session, reported_ns);
         self.samples.push_back(sample);
         Some(known.is_none())
     }
 
-    /// Whether a heartbeat counts that reports one sent from here at `told_ns`: it belongs to the present session, or proves by
+    /// Whether a heartbeat counts that reports one sent from here at `reported_ns`: it belongs to the present session, or proves by
     /// this report that its session is the present one. Another run has to wait until the present one is silent.
-    fn believes(&mut self, heartbeat: &Heartbeat, told_ns: u64, now: Instant) -> bool {
+    fn believes(&mut self, heartbeat: &Heartbeat, reported_ns: u64, now: Instant) -> bool {
         let &Heartbeat { session, run, .. } = heartbeat;
         if self.session == Some(session) {
             return true;
         }
         if is_connected(self, now) && self.run != Some(run) {
             // A report of an earlier heartbeat may come from a run that has ended.
-            if told_ns > self.proved_ns[0] && self.rival.is_none_or(|rival| rival.session != session) {
-                self.rival = Some(Rival { session, told_ns });
+            if reported_ns > self.proved_ns[0] && self.rival.is_none_or(|rival| rival.session != session) {
+                self.rival = Some(Rival { session, reported_ns });
             }
             return false;
         }
-        told_ns > self.answered_ns
+        reported_ns > self.answered_ns
     }
 }
 

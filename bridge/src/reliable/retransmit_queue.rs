@@ -137,7 +137,7 @@ impl RetransmitQueue {
     }
 
     /// Whether, since the last call, an acknowledgement covered messages that were not sent. Repetitions are reported once.
-    pub(crate) fn was_overstated(&mut self) -> bool {
+    pub(crate) fn take_overstated(&mut self) -> bool {
         std::mem::take(&mut self.overstated)
     }
 
@@ -344,14 +344,14 @@ mod tests {
             .iter()
             .map(|ack| {
                 queue.acknowledge("base", Some(&Ack { finished: 2, ..ack.clone() }), Some(start), start);
-                queue.was_overstated()
+                queue.take_overstated()
             })
             .collect();
         assert_eq!(told, [false, true, false, false, false, true]);
-        assert_eq!((queue.next_position().oldest, queue.was_overstated()), (2, false));
+        assert_eq!((queue.next_position().oldest, queue.take_overstated()), (2, false));
         let other = Ack { stream: 2, ..ack(u64::MAX, &[]) };
         queue.acknowledge("base", Some(&other), Some(start), start);
-        assert!(!queue.was_overstated(), "it is of another stream");
+        assert!(!queue.take_overstated(), "it is of another stream");
     }
 
     #[test]

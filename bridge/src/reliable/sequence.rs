@@ -133,12 +133,12 @@ impl Sequence {
     }
 
     /// Whether, since the last call, it has turned out that a message was taken whose number its sender had not reached.
-    pub(crate) fn was_misled(&mut self) -> bool {
+    pub(crate) fn take_misled(&mut self) -> bool {
         std::mem::take(&mut self.misled)
     }
 
     /// Whether, since the last call, it has turned out that a doubtful message was not the sender's.
-    pub(crate) fn has_refuted(&mut self) -> bool {
+    pub(crate) fn take_refuted(&mut self) -> bool {
         std::mem::take(&mut self.refuted)
     }
 
@@ -395,8 +395,8 @@ mod tests {
                 "{forged:?}"
             );
             assert_eq!((sequence.expected(), sequence.lost()), ((7, 102), 0), "{forged:?}");
-            assert_eq!(sequence.has_refuted(), forged.position.number >= 100, "{forged:?}");
-            assert!(!sequence.has_refuted() && !sequence.was_misled(), "it is told once");
+            assert_eq!(sequence.take_refuted(), forged.position.number >= 100, "{forged:?}");
+            assert!(!sequence.take_refuted() && !sequence.take_misled(), "it is told once");
         }
     }
 
@@ -454,7 +454,7 @@ mod tests {
             assert_eq!((sequence.expected(), sequence.lost()), (next, lost), "{seldom:?}");
             let follows = claim(position(7, next.1, next.1.min(120)));
             assert_eq!(take_claim(&mut sequence, follows, start + LATER), Verdict::Take, "{seldom:?}");
-            assert!(!sequence.has_refuted() && !sequence.was_misled(), "{seldom:?}");
+            assert!(!sequence.take_refuted() && !sequence.take_misled(), "{seldom:?}");
         }
         let mut sequence = at_work(start);
         let anew = claim(position(8, 0, 0));
@@ -494,7 +494,7 @@ mod tests {
             let verdict = sequence.judge(end(old), start + later);
             sequence.is_end_to_hear(old, verdict)
         });
-        assert_eq!((heard, sequence.expected(), sequence.has_refuted()), ([false, true], (7, 51), false));
+        assert_eq!((heard, sequence.expected(), sequence.take_refuted()), ([false, true], (7, 51), false));
     }
 
     #[test]
@@ -506,7 +506,7 @@ mod tests {
         }
         assert_eq!((sequence.doubts.len(), sequence.expected()), (MOST_DOUBTS, (7, 1)));
         assert_eq!(take_at(&mut sequence, StreamPosition { stream: 7, number: 1, oldest: 0 }, start), Verdict::Take);
-        assert!(sequence.doubts.is_empty() && sequence.has_refuted());
+        assert!(sequence.doubts.is_empty() && sequence.take_refuted());
     }
 
     #[test]
@@ -521,7 +521,7 @@ mod tests {
             assert_eq!(take(3, 3, start + STREAM_TIMEOUT), Verdict::Old, "it may have come by a slow way");
             let later = start + STREAM_TIMEOUT + Duration::from_millis(1);
             assert_eq!([3, 4].map(|number| take(number, 3, later)), [Verdict::Take; 2]);
-            assert_eq!([sequence.was_misled(), sequence.was_misled()], [true, false], "it is told once");
+            assert_eq!([sequence.take_misled(), sequence.take_misled()], [true, false], "it is told once");
             assert_eq!(sequence.expected(), (1, 5));
             assert!(sequence.lost() <= 1, "{} messages seem to be lost", sequence.lost());
         }
@@ -538,7 +538,7 @@ mod tests {
                     assert_eq!(take_at(&mut sequence, position(number), start + later), Verdict::Old, "{number}");
                 }
             }
-            assert_eq!((sequence.expected(), sequence.lost(), sequence.was_misled()), ((1, 300), 0, false));
+            assert_eq!((sequence.expected(), sequence.lost(), sequence.take_misled()), ((1, 300), 0, false));
         }
     }
 
@@ -554,7 +554,7 @@ mod tests {
             let late = StreamPosition { stream: 1, number: number.saturating_sub(100), oldest: 0 };
             assert_eq!(take_at(&mut sequence, late, now), Verdict::Old);
         }
-        assert_eq!((sequence.was_misled(), sequence.lost()), (false, 0));
+        assert_eq!((sequence.take_misled(), sequence.lost()), (false, 0));
     }
 
     #[test]
@@ -566,7 +566,7 @@ mod tests {
         let first = end(StreamPosition { stream: 1, number: 0, oldest: 0 });
         let told = [Duration::ZERO, LATER].map(|later| sequence.judge(first, Instant::now() + later));
         assert_eq!(told, [Verdict::Early, Verdict::Old], "an end is told until everybody knows it");
-        assert_eq!((sequence.expected(), sequence.was_misled()), ((1, FARTHEST_BEHIND + 2), false));
+        assert_eq!((sequence.expected(), sequence.take_misled()), ((1, FARTHEST_BEHIND + 2), false));
     }
 
     #[test]

@@ -161,8 +161,8 @@ fn numbers_that_make_no_sense_are_refused() {
 #[test]
 fn the_layouts_of_all_that_every_program_knows_are_told() {
     let told = layouts();
-    let is_told = |name: &str| told.split(' ').any(|one| one == name);
-    assert!(is_told(HEADER_TYPE_NAME) && BUILT_IN.iter().all(|item| is_told(item.type_name())), "{told}");
+    let is_reported = |name: &str| told.split(' ').any(|one| one == name);
+    assert!(is_reported(HEADER_TYPE_NAME) && BUILT_IN.iter().all(|item| is_reported(item.type_name())), "{told}");
 }
 
 #[test]

@@ -153,7 +153,7 @@ struct Movement {
     worked_on: u64,
     since: Instant,
     /// Whether the lack of progress since then was reported.
-    is_told: bool,
+    is_reported: bool,
 }
 
 impl<'a> Launcher<'a> {
@@ -203,7 +203,7 @@ impl<'a> Launcher<'a> {
         let look = if self.swap.is_some() { SWAP_CHECK_PERIOD } else { STAGE_CHECK_PERIOD };
         match self.signals.recv_timeout(look) {
             Ok(SIGCHLD) | Err(RecvTimeoutError::Timeout) => {}
-            Ok(SIGTSTP) => self.stop_until_told(),
+            Ok(SIGTSTP) => self.suspend_until_resumed(),
             Ok(_) | Err(RecvTimeoutError::Disconnected) => {
                 self.hurried = !matches!(self.phase, Phase::Running);
                 match self.phase {
@@ -217,7 +217,7 @@ impl<'a> Launcher<'a> {
 
     /// Suspends all stages and this process, and resumes them together, like a job of a shell. The stages have process groups of
     /// their own, which Ctrl-Z and `fg` do not reach.
-    fn stop_until_told(&mut self) {
+    fn suspend_until_resumed(&mut self) {
         self.stages.iter().for_each(|stage| stage.signal_group(Signal::STOP));
         // If the system refuses to suspend it, the run goes on at once.
         let stop = || drop(emulate_default_handler(SIGTSTP));
@@ -323,13 +323,13 @@ impl<'a> Launcher<'a> {
 
     /// Logs once per stall which stages wait for which.
     fn look_for_standstill(&mut self, summary: &Summary) {
-        let now = Movement { worked_on: summary.worked_on(), since: Instant::now(), is_told: false };
+        let now = Movement { worked_on: summary.worked_on(), since: Instant::now(), is_reported: false };
         let stands = matches!(self.phase, Phase::Running) && summary.is_held_up();
         let before = self.moved.get_or_insert(now);
         if !stands || before.worked_on != now.worked_on {
             *before = now;
-        } else if !before.is_told && before.since.elapsed() > STANDSTILL {
-            before.is_told = true;
+        } else if !before.is_reported && before.since.elapsed() > STANDSTILL {
+            before.is_reported = true;
             let waits = summary.who_waits().join(", ");
             tracing::warn!("nothing has moved for {} s: {waits}", STANDSTILL.as_secs());
         }
@@ -505,19 +505,19 @@ mod tests {
     fn a_run_at_work_stands_still_once_nothing_has_moved_for_ten_seconds_although_a_stage_waits_for_another() {
         let (files, options) = (tempfile::tempdir().unwrap(), RunOptions::default());
         let mut launcher = launcher(files.path(), &options, Phase::Running);
-        let is_told = |launcher: &mut Launcher<'_>, worked_on: u64, seconds: u64| {
+        let is_reported = |launcher: &mut Launcher<'_>, worked_on: u64, seconds: u64| {
             let since = Instant::now().checked_sub(Duration::from_secs(seconds)).unwrap();
-            launcher.moved = Some(Movement { worked_on, since, is_told: false });
+            launcher.moved = Some(Movement { worked_on, since, is_reported: false });
             launcher.look_for_standstill(&launcher.summary());
-            launcher.moved.unwrap().is_told
+            launcher.moved.unwrap().is_reported
         };
-        assert!(!is_told(&mut launcher, 7, 20), "nobody waits");
+        assert!(!is_reported(&mut launcher, 7, 20), "nobody waits");
         change_record(&launcher.folder, "first", |status| status.waits_for = Text::new("second"));
-        assert!(is_told(&mut launcher, 7, 20));
-        assert!(!is_told(&mut launcher, 7, 5), "not for long");
-        assert!(!is_told(&mut launcher, 6, 20), "something has moved since");
+        assert!(is_reported(&mut launcher, 7, 20));
+        assert!(!is_reported(&mut launcher, 7, 5), "not for long");
+        assert!(!is_reported(&mut launcher, 6, 20), "something has moved since");
         launcher.phase = Phase::Delivering { delivered: 0, since: Instant::now() };
-        assert!(!is_told(&mut launcher, 7, 20), "it comes to its end");
+        assert!(!is_reported(&mut launcher, 7, 20), "it comes to its end");
         launcher.kill_all();
     }
 

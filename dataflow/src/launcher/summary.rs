@@ -651,8 +651,8 @@ pub(super) mod tests {
         }
         assert_eq!(run.objects(), 3);
         let text = run.to_string();
-        let is_told = ["stage", "writer", "sink"].map(|name| text.contains(&format!("{name}: noted: 5")));
-        assert_eq!(is_told, [false, true, true], "{text}");
+        let is_reported = ["stage", "writer", "sink"].map(|name| text.contains(&format!("{name}: noted: 5")));
+        assert_eq!(is_reported, [false, true, true], "{text}");
     }
 
     #[test]

@@ -21,7 +21,7 @@ use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
 
 /// Time within which a successor has to be ready.
-const READY_GRACE: Duration = Duration::from_secs(15);
+const READY_TIMEOUT: Duration = Duration::from_secs(15);
 /// A stage that has not left this long after it was asked to is killed.
 const LEAVE_GRACE: Duration = Duration::from_secs(30);
 /// A dismissed successor has this time to end by itself.
@@ -53,7 +53,7 @@ impl Step {
     /// Whether this step has taken too long.
     fn is_overdue(&self, taken: Duration) -> bool {
         match self {
-            Self::Preparing(_) => taken > READY_GRACE,
+            Self::Preparing(_) => taken > READY_TIMEOUT,
             Self::Leaving(_) => taken > LEAVE_GRACE,
             Self::Beginning(_) | Self::Over { .. } => false,
         }

@@ -135,7 +135,7 @@ fn kind_is_known(pipeline: &Pipeline, node: &Node, input: &Input, accepted: &[&s
 
 fn output(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) {
     let (Some(topic), Some(place)) = (&stage.output, &stage.output_place) else { return };
-    if let (Some(said), Program::Node(node)) = (&stage.output_said, &stage.program)
+    if let (Some(said), Program::Node(node)) = (&stage.declared_output, &stage.program)
         && said != node.output()
         && !node.writes_any()
     {

@@ -41,10 +41,10 @@ pub(super) fn overwritten(pipeline: &Pipeline, machine: Option<&str>, faults: &m
         let Some(stage) = own.stage else { continue };
         let writer = own.in_words();
         let mut others = read.iter().filter(|other| own.is_beside(other));
-        let over_read = others.find_map(|other| own.files.over_what_is_read(&writer, &other.files, &other.in_words()));
+        let over_read = others.find_map(|other| own.files.conflict_with_read(&writer, &other.files, &other.in_words()));
         let mut earlier = written[..index].iter().filter(|other| own.is_beside(other));
         let over_written =
-            || earlier.find_map(|other| own.files.over_what_is_written(&writer, &other.files, &other.in_words()));
+            || earlier.find_map(|other| own.files.conflict_with_written(&writer, &other.files, &other.in_words()));
         if let Some(Hinted { what, hint, .. }) = over_read.or_else(over_written) {
             let place = stage.parameter_places.get(own.files.key).unwrap_or(&stage.place);
             faults.push(Diagnostic::error(place, what, hint));
@@ -55,7 +55,7 @@ pub(super) fn overwritten(pipeline: &Pipeline, machine: Option<&str>, faults: &m
 impl Pipeline {
     /// Error if `files`, which `writer` names, may overwrite files that a run of this pipeline reads.
     pub fn over_what_it_reads(&self, files: &FileUse, writer: &str) -> Option<Hinted> {
-        let over = |other: &Named<'_>| files.over_what_is_read(writer, &other.files, &other.in_words());
+        let over = |other: &Named<'_>| files.conflict_with_read(writer, &other.files, &other.in_words());
         read(self, None).iter().find_map(over)
     }
 }

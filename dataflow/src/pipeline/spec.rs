@@ -45,7 +45,7 @@ pub struct StageSpec {
     /// The topic that it writes.
     pub output: Option<String>,
     /// Kind of its output, where the file gives it: a program has no node that determines it.
-    pub output_said: Option<String>,
+    pub declared_output: Option<String>,
     /// Machine that it runs on.
     pub machine: Option<String>,
     /// When it is restarted.
@@ -221,7 +221,7 @@ impl StageSpec {
     pub fn output_kind(&self) -> Option<&str> {
         match &self.program {
             Program::Node(node) if !node.writes_any() => Some(node.output()),
-            _ => self.output_said.as_deref(),
+            _ => self.declared_output.as_deref(),
         }
     }
 

@@ -389,7 +389,7 @@ fn a_successor_works_on_what_its_predecessor_did_not_and_on_nothing_else() {
     let mut input_port = kept.input();
     kept.send((2..6).map(|number| by("left", number)));
     input_port.buffer_newest().unwrap();
-    input_port.begin_after(last.clone());
+    input_port.resume_from_handover(last.clone());
     assert_eq!(*input_port.worked_on(), last);
     assert_eq!(take_all(&mut input_port), [4, 5]);
     assert_eq!(counted(&input_port.counts()), [2, 0, 0, 0]);
@@ -412,7 +412,7 @@ fn what_is_lost_between_predecessor_and_successor_is_counted() {
     let mut input_port = kept.input();
     kept.send([message(4)]);
     input_port.buffer_newest().unwrap();
-    input_port.begin_after(last);
+    input_port.resume_from_handover(last);
     assert_eq!(take(&mut input_port), Some(4));
     assert_eq!(counted(&input_port.counts()), [1, 2, 2, 0]);
 }

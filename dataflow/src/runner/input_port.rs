@@ -184,7 +184,7 @@ impl<R: Reader> InputPort<R> {
     /// Continues after the messages that an earlier process of this stage, which kept no counts, has finished.
     pub fn go_on(&mut self) {
         let finished = self.reader.acknowledged().unwrap_or_default();
-        self.go_on_after(finished, LastMessage::default());
+        self.resume_from_acknowledged(finished, LastMessage::default());
     }
 
     /// Counts a message, unless an earlier process of this stage has counted it.
@@ -275,7 +275,7 @@ impl<R: Reader> InputPort<R> {
     }
 
     /// Continues after the last message that the predecessor processed, with the buffered messages.
-    pub(crate) fn begin_after(&mut self, last: Watermark) {
+    pub(crate) fn resume_from_handover(&mut self, last: Watermark) {
         self.last_number.clone_from(&last.numbers);
         self.last_frame.clone_from(&last.frames);
         self.ended.clone_from(&last.ended);
@@ -340,7 +340,7 @@ impl<R: Reader> InputPort<R> {
         self.counts = counts;
         let LastMessage { writer, number, source, epoch, sequence } = counts.last;
         if let Some(finished) = self.reader.acknowledged() {
-            self.go_on_after(finished, counts.last);
+            self.resume_from_acknowledged(finished, counts.last);
             return;
         }
         if self.writers == 1 && writer != Text::default() {
@@ -355,7 +355,7 @@ impl<R: Reader> InputPort<R> {
 
     /// Continues after the messages that an earlier process finished; `finished` has for each writer the number of the first
     /// unfinished message. A side input may have been read further than that, up to `last`.
-    fn go_on_after(&mut self, finished: Vec<(Text<32>, u64)>, last: LastMessage) {
+    fn resume_from_acknowledged(&mut self, finished: Vec<(Text<32>, u64)>, last: LastMessage) {
         for (writer, next) in finished {
             // A process that has recorded this message has finished it, even if it died right afterwards.
             let is_done = self.driven.is_some() && writer == last.writer;

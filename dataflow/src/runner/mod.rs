@@ -3,7 +3,6 @@
 //! The two loops are [`source_loop`] and [`stage_loop`]; this module has their common state and error handling.
 
 pub(crate) mod alone;
-mod doubts;
 #[cfg(test)]
 mod finishing_tests;
 pub(crate) mod handover;
@@ -29,6 +28,7 @@ pub(crate) mod side_ports;
 pub(crate) mod source_loop;
 #[cfg(test)]
 mod source_tests;
+mod source_warnings;
 pub(crate) mod stage_loop;
 mod stage_place;
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Output of a running stage: provides memory for messages, stamps their headers, and sends them.
 
-use super::doubts::Doubts;
 use super::peers::Peers;
+use super::source_warnings::SourceWarnings;
 use crate::clock::monotonic_ns;
 use crate::item_type::ItemType;
 use crate::pipeline::BRIDGE;
@@ -33,7 +33,7 @@ pub struct OutputPort<W: Writer> {
     sent_ns: Option<u64>,
     interval_ns: Option<u64>,
     last: Header,
-    doubts: Doubts,
+    source_warnings: SourceWarnings,
     /// By stage of another machine: number of messages that it has sent, as far as is known here.
     relayed: BTreeMap<Text<32>, u64>,
     peers: Peers,
@@ -61,7 +61,7 @@ impl<W: Writer> OutputPort<W> {
             sent_ns: None,
             interval_ns: None,
             last: Header::default(),
-            doubts: Doubts::default(),
+            source_warnings: SourceWarnings::default(),
             relayed: BTreeMap::new(),
             peers,
             stop,
@@ -89,8 +89,8 @@ impl<W: Writer> OutputPort<W> {
         }
         let Some((writer, _)) = &mut self.port else { return Ok(()) };
         if header.hop_count == 0 {
-            let doubts = self.doubts.about(&header, writer.item().name());
-            doubts.iter().for_each(|doubt| tracing::warn!("stage `{}` {doubt}", self.stage));
+            let warnings = self.source_warnings.about(&header, writer.item().name());
+            warnings.iter().for_each(|warning| tracing::warn!("stage `{}` {warning}", self.stage));
         }
         header.number = self.number;
         let sent_ns = monotonic_ns();
@@ -245,8 +245,9 @@ impl<W: Writer> OutputPort<W> {
         // likely ended. The bridge is over only when all its topics are, but leaves each topic once it has forwarded the end; if
         // it was killed it does not need the end again.
         let ends_alone = |stage: &str| stage == BRIDGE || self.peers.life(stage).is_none();
-        let is_told = |reader: &TopicReader| ends_alone(&reader.stage) && announcement.reached.contains(&reader.stage);
-        let all_told = self.absent_readers(false).all(is_told);
+        let is_reported =
+            |reader: &TopicReader| ends_alone(&reader.stage) && announcement.reached.contains(&reader.stage);
+        let all_told = self.absent_readers(false).all(is_reported);
         let is_waited_for = self.behind(|_| 1).next().is_some();
         if connected.is_empty() && !is_waited_for && (all_told || now > announcement.deadline) {
             return Ok(true);

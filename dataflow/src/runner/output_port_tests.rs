@@ -224,9 +224,9 @@ fn a_stage_that_waits_for_a_reader_to_come_or_to_finish_something_tells_so() {
     thread::scope(|scope| {
         let _end = AtOnce(stop.clone());
         let sending = scope.spawn(|| trial.send());
-        let is_told = until(|| waits_for(&record) == "sink");
+        let is_reported = until(|| waits_for(&record) == "sink");
         stop.force();
-        assert!(is_told && sending.join().unwrap().is_err());
+        assert!(is_reported && sending.join().unwrap().is_err());
     });
 }
 

@@ -44,7 +44,7 @@ pub(crate) fn take_place<T: Transport>(
         // The predecessor was killed, so this process acts as a restarted stage, for which the writers keep messages. It has
         // dropped messages that the predecessor was to process, and therefore opens its inputs again.
         None if input_port.is_kept() => return open(runtime).map(Some),
-        last => input_port.begin_after(last.unwrap_or_default()),
+        last => input_port.resume_from_handover(last.unwrap_or_default()),
     }
     Ok(Some(inputs))
 }

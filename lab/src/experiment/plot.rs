@@ -108,8 +108,8 @@ fn lines(plot: &Plot, rows: &[Row]) -> Vec<Line> {
 /// Returns the paper's figures as circles, one for each position that has one.
 fn paper_lines(experiment: &Experiment, plot: &Plot, rows: &[Row]) -> Vec<Line> {
     let Some(paper) = &experiment.paper else { return Vec::new() };
-    let told_apart = plot.lines.iter().filter(|column| paper.r#match.contains(column)).cloned().collect();
-    let plot = Plot { lines: told_apart, ..plot.clone() };
+    let shared_columns = plot.lines.iter().filter(|column| paper.r#match.contains(column)).cloned().collect();
+    let plot = Plot { lines: shared_columns, ..plot.clone() };
     let mut lines = gather(&plot, rows, "the paper, ", &|row, column| match paper.figure(row, column) {
         Some(Figure::Number(number)) => Some(*number),
         _ => None,
@@ -190,8 +190,8 @@ fn name(plot: &Plot, row: &Row, column: &str) -> String {
         Figure::Text(text) => Some(text.clone()),
         Figure::Number(number) => Some(format!("{key} {number}")),
     });
-    let is_told = plot.y.len() > 1 || plot.lines.is_empty() || is_true(column);
-    let column = is_told.then(|| quantity(column).0);
+    let is_reported = plot.y.len() > 1 || plot.lines.is_empty() || is_true(column);
+    let column = is_reported.then(|| quantity(column).0);
     column.into_iter().chain(told).collect::<Vec<_>>().join(", ")
 }
 

@@ -2,7 +2,7 @@
 //! kept. Each object gives one row. For recorded frames no truth is known here: each track, or each shape, gives a row.
 
 use super::matching::{Answer, Matcher};
-use super::object_stats::{ObjectStats, all, tell_faults};
+use super::object_stats::{ObjectStats, add_fault_columns, all};
 use super::observation::{Observation, world_from_camera};
 use super::row::Row;
 use super::truth::RenderedTruth;
@@ -89,7 +89,7 @@ impl Measurement {
         }
         let mut rows: Vec<Row> = self.objects.values().map(ObjectStats::row).collect();
         if let [row] = &mut rows[..] {
-            tell_faults(row, self.objects.values(), self.wrong);
+            add_fault_columns(row, self.objects.values(), self.wrong);
         } else {
             rows.push(all(self.objects.values(), self.wrong));
         }

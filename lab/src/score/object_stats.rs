@@ -94,7 +94,7 @@ impl ObjectStats {
 
     /// Adds a frame, after setting the speeds since the previous one.
     pub fn add(&mut self, observation: &mut Observation) {
-        self.tell_speeds(observation);
+        self.set_speeds(observation);
         self.sums.add(observation);
         self.frames += 1;
         if let Some(error_m) = error_m(observation) {
@@ -119,7 +119,7 @@ impl ObjectStats {
     }
 
     /// Sets the speeds: as a track reports them, or else the distance since the previous frame over the time, across the axis.
-    fn tell_speeds(&self, observation: &mut Observation) {
+    fn set_speeds(&self, observation: &mut Observation) {
         let (Some(last), Some(truth)) = (self.last, observation.truth) else { return };
         let (dt, seen) = (observation.time_s - last.time_s, observation.seen);
         let speed = |from: Vector3<f64>, to: Vector3<f64>| perpendicular(&(to - from), &truth.axis).norm() / dt;
@@ -156,7 +156,7 @@ fn pooled<'a>(objects: impl Iterator<Item = &'a ObjectStats>, of: impl Fn(&Objec
 
 /// Adds the columns that exist only for all objects; `wrong` is the number of answers that match no object. CLEAR-MOT: `MOTA = 1
 /// - (missed + wrong + switches) / objects`, and MOTP is the mean distance of the found objects.
-pub fn tell_faults<'a>(row: &mut Row, objects: impl Iterator<Item = &'a ObjectStats> + Clone, wrong: u64) {
+pub fn add_fault_columns<'a>(row: &mut Row, objects: impl Iterator<Item = &'a ObjectStats> + Clone, wrong: u64) {
     let sum = |count: fn(&ObjectStats) -> u64| objects.clone().map(count).sum::<u64>();
     let (frames, found) = (sum(|object| object.frames), sum(|object| object.found));
     let faults = frames - found + wrong + sum(|object| object.switches);
@@ -171,7 +171,7 @@ pub fn all<'a>(objects: impl Iterator<Item = &'a ObjectStats> + Clone, wrong: u6
     let mut row = Row::about("all", sum(|object| object.frames), sum(|object| object.found));
     row.count("identities", sum(|object| object.identities.len() as u64));
     row.count("switches", sum(|object| object.switches));
-    tell_faults(&mut row, objects.clone(), wrong);
+    add_fault_columns(&mut row, objects.clone(), wrong);
     for column in ["radius_sigmas", "center_sigmas"] {
         row.number(column, pooled(objects.clone(), |object| object.sums.of(column)).sqrt());
     }

@@ -120,11 +120,11 @@ fn count_found(samples: &[&Sample]) -> usize {
     samples.iter().filter(|sample| sample.found.is_some()).count()
 }
 
-/// Returns the counts of a line; those of wrong answers are empty unless `tells_wrong`.
-fn counts(samples: &[&Sample], tells_wrong: bool) -> [String; 6] {
+/// Returns the counts of a line; those of wrong answers are empty unless `with_wrong`.
+fn counts(samples: &[&Sample], with_wrong: bool) -> [String; 6] {
     let (wrong, found) = (count_wrong(samples), count_found(samples));
     let truth = samples.len() - wrong;
-    let told = |text: String| if tells_wrong { text } else { String::new() };
+    let told = |text: String| if with_wrong { text } else { String::new() };
     [
         truth.to_string(),
         found.to_string(),

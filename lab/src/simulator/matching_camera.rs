@@ -9,7 +9,7 @@
 use super::block_matching::{BRIGHTEST, ImagePair, LARGEST_WINDOW, Matching, disparities};
 use super::dot_pattern::DotPattern;
 use super::pose::Pose;
-use super::raster::{NOBODY, Raster};
+use super::raster::{NO_OWNER, Raster};
 use super::shadow;
 use super::shapes::{Shape, Surface};
 use super::waves::waves;
@@ -34,7 +34,7 @@ const LEFT_RIGHT_PX: usize = 1;
 /// Regions of fewer pixels are not measured.
 const SMALLEST_REGION_PX: usize = 100;
 /// Standard deviation of the disparity on planes in the frames' noise model, in pixels: that of real cameras of both kinds.
-const TOLD_NOISE_PX: f64 = 0.075;
+const HEADER_NOISE_PX: f64 = 0.075;
 /// Number of the random sequence for the camera itself, distinct from those of its frames.
 const OF_THE_CAMERA: u64 = u64::MAX;
 
@@ -188,7 +188,7 @@ impl MatchingCamera {
     pub fn noise_model(&self, fx: f64) -> NoiseModel {
         let Design { baseline_m, steps_per_px, .. } = self.design;
         let step_per_m = 1.0 / (steps_per_px * fx * baseline_m);
-        NoiseModel { floor_m: 0.0, growth_per_m: TOLD_NOISE_PX / (fx * baseline_m), knee_m: 0.0, step_per_m }
+        NoiseModel { floor_m: 0.0, growth_per_m: HEADER_NOISE_PX / (fx * baseline_m), knee_m: 0.0, step_per_m }
     }
 
     /// Measures a rendered image of `shapes` (camera frame); returns the depth of each pixel in metres, NaN without a
@@ -247,7 +247,7 @@ impl MatchingCamera {
 /// Returns the light of the pattern at a pixel, from a projector `projector_m` metres to the right of the eye. The decrease of
 /// light with the squared distance is left out, as cameras compare contrasts.
 fn light(pattern: &DotPattern, raster: &Raster, shadow: &[bool], index: usize, projector_m: f64) -> f32 {
-    if raster.owner[index] == NOBODY || shadow[index] {
+    if raster.owner[index] == NO_OWNER || shadow[index] {
         return 0.0;
     }
     let camera = &raster.camera;

@@ -5,7 +5,7 @@ use conicflow_messages::Camera;
 use nalgebra::Vector3;
 
 /// Owner of a pixel without a surface.
-pub const NOBODY: u16 = u16::MAX;
+pub const NO_OWNER: u16 = u16::MAX;
 
 /// Distance to the camera's plane below which surfaces have no bounds in the image, in metres.
 const NEAR_M: f64 = 1e-3;
@@ -17,7 +17,7 @@ pub struct Raster {
     pub camera: Camera,
     /// Depth along the optical axis in metres; infinite without a surface.
     pub depth: Vec<f64>,
-    /// Index of the visible shape; [`NOBODY`] if there is none.
+    /// Index of the visible shape; [`NO_OWNER`] if there is none.
     pub owner: Vec<u16>,
     /// Number of pixels that each shape would cover alone.
     pub alone: Vec<u32>,
@@ -82,7 +82,7 @@ impl Raster {
         let pixels = camera.width as usize * camera.height as usize;
         let columns = (0..camera.width).map(|u| (f64::from(u) - camera.cx) / camera.fx).collect();
         let rows = (0..camera.height).map(|v| (f64::from(v) - camera.cy) / camera.fy).collect();
-        let (depth, owner) = (vec![f64::INFINITY; pixels], vec![NOBODY; pixels]);
+        let (depth, owner) = (vec![f64::INFINITY; pixels], vec![NO_OWNER; pixels]);
         Self { camera, depth, owner, alone: Vec::new(), columns, rows }
     }
 
@@ -96,7 +96,7 @@ impl Raster {
     /// Renders shapes in the camera's frame.
     pub fn render(&mut self, shapes: &[Shape]) {
         self.depth.fill(f64::INFINITY);
-        self.owner.fill(NOBODY);
+        self.owner.fill(NO_OWNER);
         self.alone.clear();
         for (index, shape) in shapes.iter().enumerate() {
             let hits = match shape {

@@ -88,13 +88,13 @@ impl Scene {
         let (bodies, camera, screens) = file.bodies().with_context(|| origin.to_owned())?;
         let view = camera.view(&up).with_context(|| origin.to_owned())?;
         let mut scene = Self { name, group: None, bodies, camera_shift: Vector3::zeros(), view, up, gravity };
-        screens.iter().try_for_each(|entry| scene.put_up(entry)).with_context(|| origin.to_owned())?;
+        screens.iter().try_for_each(|entry| scene.add_screen(entry)).with_context(|| origin.to_owned())?;
         scene.check().with_context(|| origin.to_owned())?;
         Ok(scene)
     }
 
     /// Adds a screen as seen by the camera at time 0; one that hides nothing is left out.
-    fn put_up(&mut self, entry: &ScreenEntry) -> Result<()> {
+    fn add_screen(&mut self, entry: &ScreenEntry) -> Result<()> {
         if entry.hides == 0.0 {
             return Ok(());
         }

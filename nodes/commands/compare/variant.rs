@@ -77,7 +77,7 @@ impl Variant {
         let path = how.keep.or(folder.as_ref().map(TempDir::path)).unwrap_or(Path::new(""));
         let recording = std::path::absolute(path)?.join(format!("{letter}.mcap"));
         pipeline.name = name_of(&pipeline.name, letter);
-        keep_what_leads_to(topic, &mut pipeline);
+        keep_upstream_of(topic, &mut pipeline);
         let run = SystemTime::now().duration_since(UNIX_EPOCH)?.as_nanos() as u64;
         let mut plan = Plan::of(&pipeline, None, how.frames, run);
         record(&mut plan, topic, how.with_depth, &recording)?;
@@ -127,7 +127,7 @@ fn truth(pipeline: &Pipeline) -> Result<Option<EvaluationConfig>> {
 }
 
 /// Removes the stages that do not contribute to a topic, puts the others on this machine, and makes their inputs lossless.
-fn keep_what_leads_to(topic: &str, pipeline: &mut Pipeline) {
+fn keep_upstream_of(topic: &str, pipeline: &mut Pipeline) {
     let mut needed = BTreeSet::from([topic.to_owned()]);
     let mut known = 0;
     while known < needed.len() {
@@ -142,10 +142,10 @@ fn keep_what_leads_to(topic: &str, pipeline: &mut Pipeline) {
     for stage in &mut pipeline.stages {
         stage.machine = None;
         let sides = if let Program::Node(node) = &stage.program { node.side_inputs() } else { &[] };
-        stage.input.iter_mut().for_each(lose_nothing);
+        stage.input.iter_mut().for_each(make_lossless);
         for (name, input) in &mut stage.inputs {
             if sides.iter().any(|side| side.name == name && side.pairing == Pairing::SameFrame) {
-                lose_nothing(input);
+                make_lossless(input);
             }
         }
         // The truth file of the user's own run must not be overwritten.
@@ -153,7 +153,7 @@ fn keep_what_leads_to(topic: &str, pipeline: &mut Pipeline) {
     }
 }
 
-fn lose_nothing(input: &mut Input) {
+fn make_lossless(input: &mut Input) {
     input.delivery = Delivery::Lossless;
 }
 

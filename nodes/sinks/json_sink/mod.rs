@@ -82,7 +82,7 @@ impl Stage for JsonSink {
     }
 
     fn finish(&mut self) -> Result<(), StageError> {
-        self.lines.tell_if_earlier();
+        self.lines.warn_if_earlier();
         Ok(())
     }
 }
@@ -91,7 +91,7 @@ impl JsonSink {
     /// Writes a message as a line, unless an earlier process has written it.
     fn write(&mut self, header: &Header, bytes: &[u8], latency_ms: Option<f64>) -> Result<(), StageError> {
         let message = AnyMessage { header, item: &self.item, bytes };
-        if self.last.take_if(|last| is_told_by(last, &message)).is_some() {
+        if self.last.take_if(|last| describes(last, &message)).is_some() {
             return Ok(());
         }
         let wrote = self.lines.write_with(|line| message.write_json(latency_ms, line)).map_err(stage_error)?;
@@ -103,7 +103,7 @@ impl JsonSink {
 }
 
 /// Whether a line describes this message; its latency is not compared.
-fn is_told_by(line: &Json, message: &AnyMessage) -> bool {
+fn describes(line: &Json, message: &AnyMessage) -> bool {
     if line["sequence"] != message.header.sequence {
         return false;
     }

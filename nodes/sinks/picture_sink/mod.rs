@@ -148,7 +148,7 @@ pub struct PictureSink<T> {
     /// Camera of the last picture.
     camera: Option<Text<32>>,
     /// Whether the warning about several cameras was already logged.
-    is_told: bool,
+    is_reported: bool,
     item: PhantomData<T>,
 }
 
@@ -176,7 +176,7 @@ impl<T: Drawn> PictureSink<T> {
             sheet: (config.sheet > 0).then(|| Sheet::new(config.sheet, resume_at / config.every / config.sheet as u64)),
             file: Vec::new(),
             camera: None,
-            is_told: false,
+            is_reported: false,
             item: PhantomData,
         })
     }
@@ -266,8 +266,8 @@ impl<T: Drawn> PictureSink<T> {
     /// Warns once if pictures of several cameras may overwrite each other.
     fn look_for_another_camera(&mut self, header: &Header) {
         let camera = header.origin();
-        if self.names != Names::Stage && self.camera.is_some_and(|other| other != camera) && !self.is_told {
-            self.is_told = true;
+        if self.names != Names::Stage && self.camera.is_some_and(|other| other != camera) && !self.is_reported {
+            self.is_reported = true;
             tracing::warn!(
                 "pictures of several cameras may overwrite each other\n  hint: `names = \"stage\"` calls them after their cameras"
             );

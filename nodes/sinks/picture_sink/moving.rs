@@ -31,13 +31,13 @@ pub(super) struct Moving {
     seen: Vec<[u8; 3]>,
     /// The pixels of each picture in colours of 15 bits, and its time stamp.
     pictures: Vec<(Vec<u16>, u64)>,
-    is_told: bool,
+    is_reported: bool,
 }
 
 impl Moving {
     /// Creates a moving picture with this file; it is `width` pixels wide, or as wide as narrower pictures.
     pub(super) fn new(path: PathBuf, width: u32) -> Self {
-        Self { path, width, size: None, seen: Vec::new(), pictures: Vec::new(), is_told: false }
+        Self { path, width, size: None, seen: Vec::new(), pictures: Vec::new(), is_reported: false }
     }
 
     /// Adds a picture, unless there are enough, or it differs in size from those before.
@@ -47,8 +47,8 @@ impl Moving {
         let high = (u64::from(height) * u64::from(wide) / u64::from(width)).max(1) as u32;
         let size = *self.size.get_or_insert((wide, high));
         if size != (wide, high) || self.pictures.len() == MOST {
-            if !self.is_told {
-                self.is_told = true;
+            if !self.is_reported {
+                self.is_reported = true;
                 let why =
                     if size == (wide, high) { format!("has {MOST} pictures") } else { "is of another size".into() };
                 tracing::warn!("`{}` {why}: further ones are left out", self.path.display());

@@ -243,7 +243,7 @@ fn faults_of_the_parameters() {
 
 #[test]
 fn pictures_that_may_overwrite_each_other_are_told() {
-    for (names, is_told) in [(Names::Sequence, true), (Names::Source, true), (Names::Stage, false)] {
+    for (names, is_reported) in [(Names::Sequence, true), (Names::Source, true), (Names::Stage, false)] {
         let folder = tempfile::tempdir().unwrap();
         let mut sink = sink::<Object>(&folder, Config { names, ..Config::default() });
         for camera in ["left", "right"] {
@@ -251,6 +251,6 @@ fn pictures_that_may_overwrite_each_other_are_told() {
             header.add_hop(Hop { stage: Text::new(camera), ..Hop::default() });
             sink.take(&Message { header: &header, items: &[] }, &SideInputs::default()).unwrap();
         }
-        assert_eq!(sink.is_told, is_told, "{names:?}");
+        assert_eq!(sink.is_reported, is_reported, "{names:?}");
     }
 }

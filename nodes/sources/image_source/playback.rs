@@ -37,7 +37,7 @@ pub struct Playback {
     described: bool,
     empty: EmptyFrames,
     /// Whether the intrinsics are given; else they are fitted to the points.
-    tells_camera: bool,
+    has_given_camera: bool,
 }
 
 impl Playback {
@@ -81,7 +81,7 @@ impl Playback {
             counts: BTreeMap::from([(UNREADABLE, unreadable.saturating_sub(counted))]),
             described: false,
             empty: EmptyFrames::default(),
-            tells_camera: recording.tells_camera(),
+            has_given_camera: recording.has_given_camera(),
             poses,
             recording,
         })
@@ -190,7 +190,7 @@ impl Playback {
         }
         let (what, camera) = (format!("{} frames", self.recording.len()), frame.camera);
         self.described = report_frame(&what, &frame.name, &camera, frame.depth_scale, pixels);
-        if self.described && self.tells_camera && is_off_center(&camera) {
+        if self.described && self.has_given_camera && is_off_center(&camera) {
             tracing::warn!(
                 "the camera's principal point is at ({}, {}), far from the middle of images of {}x{}\n  hint: are \
                  the intrinsics those of another resolution? they scale with the image",

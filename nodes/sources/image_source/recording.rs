@@ -107,7 +107,7 @@ impl Recording {
     }
 
     /// Whether the camera is given by parameters or a file; else it is fitted to the points.
-    pub(super) fn tells_camera(&self) -> bool {
+    pub(super) fn has_given_camera(&self) -> bool {
         self.camera.is_some()
     }
 

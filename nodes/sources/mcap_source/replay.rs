@@ -55,7 +55,7 @@ pub struct Replay {
     counts: BTreeMap<&'static str, u64>,
     /// Kinds of unusable messages for which the reason was already logged.
     told: BTreeSet<&'static str>,
-    is_told: bool,
+    is_reported: bool,
     empty: EmptyFrames,
 }
 
@@ -106,7 +106,7 @@ impl Replay {
             round: Round::default(),
             counts: BTreeMap::new(),
             told: BTreeSet::new(),
-            is_told: resume_at > 0,
+            is_reported: resume_at > 0,
             empty: if resume_at > 0 { EmptyFrames::silent() } else { EmptyFrames::default() },
         };
         if config.is_part() {
@@ -156,7 +156,7 @@ impl Replay {
     /// Suppresses the log line about resolution and depths of the images.
     #[must_use]
     pub fn silent(self) -> Self {
-        Self { is_told: true, empty: EmptyFrames::silent(), ..self }
+        Self { is_reported: true, empty: EmptyFrames::silent(), ..self }
     }
 
     /// The item type that is sent.
@@ -381,7 +381,7 @@ impl Replay {
         let Header { camera, depth_scale, .. } = &replayed.header;
         let pixels = || replayed.items_as::<u16>();
         let tell = || report_frame("frames", self.chosen.topics()[0], camera, *depth_scale, &pixels());
-        self.is_told = self.is_told || tell();
+        self.is_reported = self.is_reported || tell();
     }
 }
 

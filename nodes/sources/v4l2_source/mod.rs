@@ -123,7 +123,7 @@ pub struct V4l2Source {
     grabber: Grabber<LinuxVideo>,
     config: Config,
     noise: NoiseModel,
-    is_told: bool,
+    is_reported: bool,
 }
 
 impl Source for V4l2Source {
@@ -140,7 +140,7 @@ impl Source for V4l2Source {
     fn new(config: Config, context: &Context) -> Result<Self, StageError> {
         let grabber = Grabber::new(LinuxVideo, config.wanted(), context.stop.clone());
         let noise = config.noise.into();
-        Ok(Self { grabber, config, noise, is_told: context.resume_at > 0 })
+        Ok(Self { grabber, config, noise, is_reported: context.resume_at > 0 })
     }
 
     fn message_length(config: &Config, _: &Path) -> Option<usize> {
@@ -159,10 +159,10 @@ impl Source for V4l2Source {
             source: Text::new(self.grabber.name()),
             ..Header::default()
         };
-        if !self.is_told
+        if !self.is_reported
             && let Some(median) = self.grabber.median()
         {
-            self.is_told = true;
+            self.is_reported = true;
             let median_m = f64::from(median) * self.config.depth_scale;
             report_median("images", self.grabber.name(), &output.header.camera, median_m);
         }

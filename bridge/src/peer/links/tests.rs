@@ -162,7 +162,7 @@ fn fall_silent(links: &Links, peer: &str) {
 
 /// Which double runs a bridge has reported.
 fn rivals(links: &Links, peer: &str) -> [bool; 2] {
-    [Rivals::There, Rivals::Here].map(|which| lock(&links.peers)[peer].told_of_rivals.contains(&which))
+    [Rivals::There, Rivals::Here].map(|which| lock(&links.peers)[peer].reported_rivals.contains(&which))
 }
 
 #[test]

@@ -20,7 +20,7 @@ pub const MAX_QUEUE: i64 = 64;
 
 /// An input as the file gives it.
 #[derive(Default)]
-struct SaidInput {
+struct DeclaredInput {
     topic: String,
     delivery: Option<Delivery>,
     queue: Option<usize>,
@@ -33,7 +33,7 @@ impl Reader<'_> {
     pub(super) fn input(&mut self, value: &Value, pairing: Pairing, delivery: Delivery) -> Option<Input> {
         let place = value.place.clone();
         let said = match &value.content {
-            Content::String(topic) => SaidInput { topic: topic.clone(), ..SaidInput::default() },
+            Content::String(topic) => DeclaredInput { topic: topic.clone(), ..DeclaredInput::default() },
             Content::Table(table) => self.long_input(table.clone(), &place)?,
             _ => {
                 let what = format!("an input is a topic or a table, this is {}", value.type_name());
@@ -49,11 +49,11 @@ impl Reader<'_> {
         };
         // At least two, so that the end of the stream does not displace the last frame.
         let queue = said.queue.unwrap_or(default_queue).max(2);
-        let SaidInput { topic, kind, compression, .. } = said;
+        let DeclaredInput { topic, kind, compression, .. } = said;
         Some(Input { topic, delivery, queue, kind, compression, place })
     }
 
-    fn long_input(&mut self, mut table: Table, place: &SourceSpan) -> Option<SaidInput> {
+    fn long_input(&mut self, mut table: Table, place: &SourceSpan) -> Option<DeclaredInput> {
         let topic = table.take("topic").and_then(|entry| self.string(&entry));
         let delivery = table.take("delivery").and_then(|entry| self.word(&entry, DELIVERIES));
         let queue = table.take("queue").and_then(|entry| self.queue(&entry));
@@ -63,7 +63,7 @@ impl Reader<'_> {
         if topic.is_none() {
             self.fault(place, "the input has no topic", "for example { topic = \"depth\", delivery = \"lossless\" }");
         }
-        Some(SaidInput { topic: topic?, delivery, queue, kind, compression })
+        Some(DeclaredInput { topic: topic?, delivery, queue, kind, compression })
     }
 
     fn queue(&mut self, entry: &Entry) -> Option<usize> {

@@ -53,7 +53,7 @@ impl Reader<'_> {
         let input = table.take("input").and_then(|entry| self.input(&entry.value, Pairing::Latest, Delivery::Latest));
         let driving = input.as_ref().map_or(Delivery::Latest, |input| input.delivery);
         let inputs = table.take("inputs").map(|entry| self.inputs(entry, &program, driving)).unwrap_or_default();
-        let (output, output_said) = table.take("output").map(|entry| self.output(entry)).unwrap_or_default();
+        let (output, declared_output) = table.take("output").map(|entry| self.output(entry)).unwrap_or_default();
         let machine = table.take("machine").and_then(|entry| self.string(&entry));
         let restart = table.take("restart").map(|entry| self.restart(entry));
         let (restart, hang_s, join_s) = restart.unwrap_or_default();
@@ -67,7 +67,7 @@ impl Reader<'_> {
             input,
             inputs,
             output,
-            output_said,
+            declared_output,
             machine,
             restart,
             hang_s,

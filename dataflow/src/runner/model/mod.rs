@@ -53,11 +53,11 @@ impl Model for Trial {
             Property::always("what is lost is counted, and nothing else", |_, run: &Run| {
                 // Messages may have come although their sender died before it recorded them.
                 let may_have_come = run.memory.left_out > 0 || killed_stages(run) > 1;
-                let is_told = |topic| match may_have_come {
+                let is_reported = |topic| match may_have_come {
                     false => lost(run, topic) == counted(run, topic),
                     true => lost(run, topic) <= counted(run, topic),
                 };
-                !run.is_over() || [0, 1].into_iter().all(is_told)
+                !run.is_over() || [0, 1].into_iter().all(is_reported)
             }),
             Property::always("nothing is lost where one stage alone was killed", |_, run: &Run| {
                 let is_excepted = killed_stages(run) > 1 || run.memory.left_out > 0;

@@ -343,7 +343,7 @@ impl Process {
     fn take_place(&mut self) {
         self.enter();
         match memory(|memory| memory.last_worked_on.clone()) {
-            Some(last) => self.input().begin_after(last),
+            Some(last) => self.input().resume_from_handover(last),
             None => self.open_input(true),
         }
         self.at = At::Opened;

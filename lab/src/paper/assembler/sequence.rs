@@ -32,7 +32,7 @@ fn grow(sections: &[Section], chain: &[usize], config: &ProfileConfig) -> (Vec<u
     let mut sums = Sums::new(&sections[chain[0]]);
     for (position, &index) in chain.iter().enumerate() {
         let section = &sections[index];
-        if sums.foresees(section, config) {
+        if sums.predicts(section, config) {
             sums.add(section);
             members.push(index);
             end = position + 1;
@@ -75,7 +75,7 @@ impl Sums {
         [self.distance * section.plane.angle(), section.radius]
     }
 
-    fn foresees(&self, section: &Section, config: &ProfileConfig) -> bool {
+    fn predicts(&self, section: &Section, config: &ProfileConfig) -> bool {
         (self.sides.count() as usize) < TRUSTED
             || self.foresees_axial(section, config).unwrap_or(false)
             || self.foresees_spherical(section, config).unwrap_or(false)

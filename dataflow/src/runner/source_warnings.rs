@@ -13,21 +13,21 @@ const LEAST_RISE_NS: u64 = 100_000;
 
 /// Mistakes that were reported for a source, and the last stamp.
 #[derive(Debug, Default)]
-pub(super) struct Doubts {
+pub(super) struct SourceWarnings {
     stamp_ns: u64,
-    told: [bool; 4],
+    reported: [bool; 4],
 }
 
-impl Doubts {
+impl SourceWarnings {
     /// Returns the new warnings for a message with items of this `kind`.
     pub(super) fn about(&mut self, header: &Header, kind: &str) -> Vec<String> {
         let before = std::mem::replace(&mut self.stamp_ns, header.stamp_ns);
-        let doubts =
+        let warnings =
             [of_stamp(before, header.stamp_ns), of_pose(header), of_check(header, kind), of_noise(header, kind)];
-        let new = self.told.iter_mut().zip(doubts).filter_map(|(told, doubt)| {
-            let doubt = doubt.filter(|_| !*told)?;
-            *told = true;
-            Some(doubt)
+        let new = self.reported.iter_mut().zip(warnings).filter_map(|(reported, warning)| {
+            let warning = warning.filter(|_| !*reported)?;
+            *reported = true;
+            Some(warning)
         });
         new.collect()
     }
@@ -78,8 +78,8 @@ mod tests {
 
     /// Warnings for messages with these stamps.
     fn about(stamps: &[u64]) -> Vec<String> {
-        let mut doubts = Doubts::default();
-        stamps.iter().flat_map(|stamp| doubts.about(&header(*stamp), "depth")).collect()
+        let mut warnings = SourceWarnings::default();
+        stamps.iter().flat_map(|stamp| warnings.about(&header(*stamp), "depth")).collect()
     }
 
     #[test]
@@ -98,28 +98,30 @@ mod tests {
 
     #[test]
     fn depth_without_noise_is_reported_once() {
-        let mut doubts = Doubts::default();
+        let mut warnings = SourceWarnings::default();
         let exact = Header { noise: NoiseModel::IDEAL, ..header(0) };
-        let reported = doubts.about(&exact, "depth");
+        let reported = warnings.about(&exact, "depth");
         assert!(reported.len() == 1 && reported[0].starts_with("sends depth images without noise"), "{reported:?}");
-        assert!(doubts.about(&exact, "depth").is_empty() && Doubts::default().about(&exact, "objects").is_empty());
-        assert!(Doubts::default().about(&Header { flags: RECORDED, ..exact }, "depth").is_empty());
+        assert!(
+            warnings.about(&exact, "depth").is_empty() && SourceWarnings::default().about(&exact, "objects").is_empty()
+        );
+        assert!(SourceWarnings::default().about(&Header { flags: RECORDED, ..exact }, "depth").is_empty());
     }
 
     #[test]
     fn a_pose_without_its_flag_and_an_image_without_its_camera_are_told_once_each() {
-        let mut doubts = Doubts::default();
+        let mut warnings = SourceWarnings::default();
         let mut posed = Header { world_from_camera: [[1.0, 0.0, 0.0, 2.0]; 3], ..header(0) };
-        let told = doubts.about(&posed, "depth");
+        let told = warnings.about(&posed, "depth");
         assert!(told.len() == 1 && told[0].ends_with("hint: `Header::set_pose` does both"), "{told:?}");
         posed.camera = Camera::default();
-        let told = doubts.about(&posed, "depth");
+        let told = warnings.about(&posed, "depth");
         let expected = "sends messages that no reader takes: malformed depth: an image of 0x0 pixels, ";
         assert!(told.len() == 1 && told[0].starts_with(expected) && told[0].contains("\n  hint: "), "{told:?}");
-        assert!(doubts.about(&posed, "depth").is_empty());
+        assert!(warnings.about(&posed, "depth").is_empty());
         posed = Header { flags: RECORDED, camera: header(0).camera, ..posed };
-        assert!(Doubts::default().about(&posed, "depth").is_empty());
+        assert!(SourceWarnings::default().about(&posed, "depth").is_empty());
         posed.set_pose([[1.0, 0.0, 0.0, 2.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]);
-        assert!(Doubts::default().about(&posed, "depth").is_empty());
+        assert!(SourceWarnings::default().about(&posed, "depth").is_empty());
     }
 }
