@@ -49,9 +49,9 @@ const EDGE_WIDTH: f64 = 2.0; // [measured]
 /// Gate on the displacement of an object, in standard deviations: an object that moved less counts as standing still.
 const STILL_SIGMAS: f64 = 3.0; // [sigmas]
 /// Weight of the prior of `NewShare`, in pairs of images: the prior is that images of one object do not differ.
-const UNCOMPARED: f64 = 10.0; // [algorithmic]
+const UNCOMPARED: f64 = 10.0; // [tuned]
 /// Number of images without an object after which it counts as another one when it is seen again, which bounds the work.
-const RECENT_IMAGES: u32 = 30; // [algorithmic]
+const RECENT_IMAGES: u32 = 30; // [tuned]
 
 /// Fits models to contours, one object after another, with the bias and noise that earlier objects showed.
 #[derive(Debug, Default)]

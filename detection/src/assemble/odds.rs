@@ -13,20 +13,20 @@ use super::verify::Candidate;
 use conicflow_messages::{Object, ObjectKind};
 
 /// Upper bound of the mean square error of the outline, in variances: larger errors count as this one.
-const MOST_OUTLINE: f64 = 5.0; // [algorithmic]
+const MOST_OUTLINE: f64 = 5.0; // [tuned]
 /// Upper bound of the visible length, in radii: longer objects count as this long.
-const MOST_LENGTH: f64 = 3.0; // [algorithmic]
+const MOST_LENGTH: f64 = 3.0; // [tuned]
 /// Upper bound of the mean square residual, in variances: where there is almost no noise, any residual is many variances.
-const MOST_RESIDUAL: f64 = 2.0; // [algorithmic]
+const MOST_RESIDUAL: f64 = 2.0; // [tuned]
 /// Added to standard deviations in radii, so that their logarithms stay finite.
-const LEAST_SIGMA: f64 = 0.003; // [algorithmic]
+const LEAST_SIGMA: f64 = 0.003; // [tuned]
 /// A surface beyond an end counts as the same surface while its arcs are within this mean distance of the object's surface, in
 /// radii. With 0.1, 0.2, 0.3 and 0.4, and a weight fitted to each, 108, 90, 79 and 74 wrong candidates of `cargo bench --bench
 /// odds` in furnished rooms are reported as objects, and of the right candidates that simulated stereo cameras see elsewhere 119,
 /// 117, 115 and 112 (counted by a script that is not kept).
 const NEAR: f64 = 0.2; // [tuned]
 /// Largest distance over which a surface is followed beyond an end, in radii.
-const MOST_BEYOND: f64 = 1.0; // [algorithmic]
+const MOST_BEYOND: f64 = 1.0; // [tuned]
 
 /// Evidence for and against a candidate.
 #[derive(Clone, Copy, Debug, PartialEq)]

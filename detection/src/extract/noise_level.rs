@@ -44,7 +44,7 @@ const SMOOTH: f64 = 0.25; // [tuned]
 const SQUARE_OF_SMOOTH: f64 = 0.101_53; // [derived]
 /// Smallest ratio between the mean depths of the far and the near half at which the model's growth is replaced: two levels at
 /// nearly one depth do not determine a growth.
-const DISTANT: f64 = 1.15; // [algorithmic]
+const DISTANT: f64 = 1.15; // [tuned]
 /// Fewest standard deviations by which the logarithm of the ratio of the noise levels of both halves has to differ from zero.
 const SURE_SIGMAS: f64 = 3.5; // [sigmas]
 /// [`NoiseSamples::range`] leaves out one sample in this many at either end.

@@ -20,7 +20,7 @@ const SIDES: [u32; 2] = [24, 128]; // [algorithmic] [algorithmic]
 const SAMPLES: u32 = 16; // [algorithmic]
 /// Least part of a square's samples, and of a line's pixels, that has to be measured. If too few squares reach the first value,
 /// as in an image that is full of holes, the second one applies.
-const MEASURED: [f64; 2] = [0.9, 0.5]; // [algorithmic] [algorithmic]
+const MEASURED: [f64; 2] = [0.9, 0.5]; // [tuned] [tuned]
 /// Part of all squares that counts as flat: the flattest of them, which show nothing but planes.
 const FLAT: f64 = 0.15; // [tuned]
 /// Limit on the mean square residual of a square, and of a line in a square, as a multiple of that of the flat squares: beyond it

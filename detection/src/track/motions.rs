@@ -32,9 +32,9 @@ impl Manner {
     /// Returns its acceleration in units of `acceleration`, the usual one: the steps of ten leave no motion far from a model.
     fn strength(self) -> f64 {
         match self {
-            Self::Uniform => 0.1, // [algorithmic]
+            Self::Uniform => 0.1, // [tuned]
             Self::IsCarried | Self::Falls => 1.0,
-            Self::IsThrown => 10.0, // [algorithmic]
+            Self::IsThrown => 10.0, // [tuned]
         }
     }
 

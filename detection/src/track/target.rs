@@ -20,7 +20,7 @@ const MANOEUVRE_UNSEEN_S: f64 = 0.2; // [tuned]
 
 /// Upper bound of `Target::sense`: however often the axis of a cone was seen one way, this many opposite sightings and one more
 /// turn it over.
-const SURE_OF_SENSE: u32 = 10; // [algorithmic]
+const SURE_OF_SENSE: u32 = 10; // [tuned]
 
 /// Lower bound of the half-angle from which the apex of a cone is computed, in radians, which keeps the apex finite.
 const MIN_HALF_ANGLE: f64 = 1e-6; // [algorithmic]
