@@ -16,7 +16,7 @@ use crate::assemble::{Assembler, AssemblerParameters, Rejection, Rejections};
 use crate::extract::coarse::coarse_step;
 
 use crate::extract::noise_estimate::NoiseEstimate;
-use crate::extract::turned::turned;
+use crate::extract::transposed::transposed;
 use crate::extract::{ArcRejections, Extractor, noise_level, noise_planes};
 use conicflow_geometry::Scan;
 use conicflow_messages::{Ellipse, Header, Object};
@@ -51,12 +51,12 @@ impl Extractor {
         //    many neighbours share their noise (`noise_planes.rs`). From both follows how many lines have to be averaged for the
         //    step between two surfaces to be seen (`averaging.rs`).
         let noise = noise_level::estimate(view, (header, image), search, samples);
-        view.turn(header, Scan::Row, &noise);
+        view.set_up(header, Scan::Row, &noise);
         let correlation_px = noise_planes::correlation_px(view, image, squares);
         let noise = NoiseEstimate { correlation_px, ..noise };
         let depths = samples.range();
         let averaged = [Scan::Row, Scan::Column].map(|scan| {
-            view.turn(header, scan, &noise);
+            view.set_up(header, scan, &noise);
             view.lines_to_average(depths)
         });
         NoiseEstimate { averaged, ..noise }
@@ -67,10 +67,10 @@ impl Extractor {
         let Self { noise, view, search, coarse, columns, ellipses, rejections, .. } = self;
 
         // 2. View: the rows, or the columns, become planes of rays; the largest step within one surface follows from the noise
-        //    (`view.rs`). Columns are the rows of the turned image (`turned.rs`). Where noise hides the steps between surfaces,
+        //    (`view.rs`). Columns are the rows of the transposed image (`transposed.rs`). Where noise hides the steps between surfaces,
         //    neighbouring lines are averaged (`averaging.rs`).
-        view.turn(header, scan, noise);
-        let image = if scan == Scan::Row { image } else { turned(image, view.lines as usize, columns) };
+        view.set_up(header, scan, noise);
+        let image = if scan == Scan::Row { image } else { transposed(image, view.lines as usize, columns) };
         let (step, coarse_step) = (view.step, coarse_step(view.step));
 
         // 3. Coarse lines: every sixth line is cut into arcs as a whole. Runs end at jumps and holes (`line.rs`), running sums

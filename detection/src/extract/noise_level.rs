@@ -97,7 +97,7 @@ pub(crate) fn estimate(
     samples: &mut NoiseSamples,
 ) -> NoiseEstimate {
     let NoiseSamples { of_neighbors, of_curves } = samples;
-    view.turn(header, Scan::Row, &NoiseEstimate::nominal(header.noise));
+    view.set_up(header, Scan::Row, &NoiseEstimate::nominal(header.noise));
     sample_neighbors(view, image, of_neighbors);
     if of_neighbors.len() < MIN_TRIPLES {
         return NoiseEstimate::nominal(view.noise);
@@ -120,7 +120,7 @@ pub(crate) fn estimate(
         if is_settled {
             break;
         }
-        view.turn(header, Scan::Row, &noise);
+        view.set_up(header, Scan::Row, &noise);
     }
     noise
 }
@@ -331,7 +331,7 @@ mod tests {
             let noise = NoiseModel { floor_m: 0.001, ..NoiseModel::IDEAL };
             let mut view = View::with(ExtractorParameters::default());
             let header = Header { camera, noise, depth_scale: 0.001, ..Header::default() };
-            view.turn(&header, Scan::Row, &NoiseEstimate::nominal(noise));
+            view.set_up(&header, Scan::Row, &NoiseEstimate::nominal(noise));
             let image: Vec<u16> = (0..90 * 12).map(|pixel| [1000, 1003, 1006][pixel % 3]).collect();
             let mut samples = Vec::new();
             sample_neighbors(&view, &image, &mut samples);
@@ -370,7 +370,7 @@ mod tests {
         let camera = Camera { width: 40, height: 30, fx: 40.0, fy: 40.0, cx: 19.5, cy: 14.5 };
         let mut view = View::with(ExtractorParameters::default());
         let header = Header { camera, noise: model, depth_scale: 1e-4, ..Header::default() };
-        view.turn(&header, Scan::Row, &NoiseEstimate::nominal(model));
+        view.set_up(&header, Scan::Row, &NoiseEstimate::nominal(model));
         let mut neighbours = [samples(2000, |_| 1.0, 0.5), samples(2000, |_| 3.0, 4.0)].concat();
         let mut curves = [samples(9, |_| 1.0, 0.0), samples(30, |_| 3.0, 0.0)].concat();
         curves.iter_mut().for_each(|sample| sample.square = if sample.depth < 2.0 { 0.8 } else { 0.1 });

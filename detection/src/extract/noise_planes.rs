@@ -327,7 +327,7 @@ mod tests {
         let noise = NoiseModel { floor_m: 0.001, ..NoiseModel::IDEAL };
         let mut view = View::with(ExtractorParameters::default());
         let header = Header { camera, noise, depth_scale: 1e-4, ..Header::default() };
-        view.turn(&header, Scan::Row, &NoiseEstimate::nominal(noise));
+        view.set_up(&header, Scan::Row, &NoiseEstimate::nominal(noise));
         let pixels = (0..80).flat_map(|y| (0..150).map(move |x| [x, y]));
         (view, pixels.map(|[x, y]| (depth_m(x, y) * 1e4).round() as u16).collect())
     }

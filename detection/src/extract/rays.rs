@@ -157,7 +157,7 @@ mod tests {
         let noise = NoiseModel { floor_m: 0.05, growth_per_m: 0.02, ..NoiseModel::IDEAL };
         let header = Header { camera, noise, depth_scale: 1e-3, ..Header::default() };
         let noise = NoiseEstimate { averaged: [averaged; 2], ..NoiseEstimate::nominal(noise) };
-        view.turn(&header, Scan::Row, &noise);
+        view.set_up(&header, Scan::Row, &noise);
         let mut image: Vec<u16> = (0..8).flat_map(|_| (0..48).map(|x| 1500 + 5 * x)).collect();
         image[48..56].fill(5000);
         let (mut line, mut buffers) = (RayLine::default(), RayBuffers::default());

@@ -114,7 +114,7 @@ impl View {
     }
 
     /// Turns to the rows or columns of an image of this noise.
-    pub fn turn(&mut self, header: &Header, scan: Scan, noise: &NoiseEstimate) {
+    pub fn set_up(&mut self, header: &Header, scan: Scan, noise: &NoiseEstimate) {
         let size = [header.camera.height, header.camera.width];
         [self.lines, self.length] = if scan == Scan::Row { size } else { [size[1], size[0]] };
         self.step = self.parameters.line_step.max(1) * averaging::step(noise.averaged, size);
@@ -363,7 +363,7 @@ impl JumpRule {
 
 #[cfg(test)]
 mod tests {
-    use super::super::turned::turned;
+    use super::super::transposed::transposed;
     use super::*;
     use conicflow_messages::Camera;
 
@@ -371,7 +371,7 @@ mod tests {
         let camera = Camera { width: 320, height: 240, fx: 290.0, fy: 290.0, cx: 159.5, cy: 119.5 };
         let noise = NoiseModel::KINECT_V1;
         let mut view = View::with(ExtractorParameters::default());
-        view.turn(
+        view.set_up(
             &Header { camera, noise, depth_scale: 1e-3, ..Header::default() },
             Scan::Row,
             &NoiseEstimate::nominal(noise),
@@ -403,10 +403,10 @@ mod tests {
         let camera = Camera { width: 1280, height: 720, fx: 1400.0, fy: 1400.0, cx: 639.5, cy: 359.5 };
         let mut view = View::with(ExtractorParameters::default());
         let header = Header { camera, noise: NoiseModel::IDEAL, depth_scale: 1e-3, ..Header::default() };
-        view.turn(&header, Scan::Row, &NoiseEstimate::nominal(header.noise));
+        view.set_up(&header, Scan::Row, &NoiseEstimate::nominal(header.noise));
         assert!(!view.jumps(None).splits(300, 301, 1), "one unit on a smooth surface");
         assert!((view.variance(0.3) - 1e-6 / 12.0).abs() < 1e-20);
-        view.turn(&header, Scan::Row, &NoiseEstimate { level: 12.0, ..NoiseEstimate::nominal(header.noise) });
+        view.set_up(&header, Scan::Row, &NoiseEstimate { level: 12.0, ..NoiseEstimate::nominal(header.noise) });
         assert!((view.variance(0.3) - 1e-6).abs() < 1e-18, "as noisy as the image is");
     }
 
@@ -416,7 +416,7 @@ mod tests {
         let mut view = View::with(ExtractorParameters::default());
         let noise = NoiseModel { floor_m: 0.002, ..NoiseModel::IDEAL };
         let header = Header { camera, noise, depth_scale: 1e-3, ..Header::default() };
-        view.turn(&header, scan, &NoiseEstimate { correlation_px: [3.0, 2.0], ..NoiseEstimate::nominal(noise) });
+        view.set_up(&header, scan, &NoiseEstimate { correlation_px: [3.0, 2.0], ..NoiseEstimate::nominal(noise) });
         view
     }
 
@@ -444,7 +444,7 @@ mod tests {
     fn a_depth_is_that_of_its_pixel_if_there_is_one_and_it_is_measured() {
         let mut image = vec![0; 40 * 30];
         (image[7 * 40 + 3], image[7 * 40 + 39]) = (1500, 1600);
-        let columns = turned(&image, 40, &mut Vec::new()).to_vec();
+        let columns = transposed(&image, 40, &mut Vec::new()).to_vec();
         let depth = |scan, line, pixel| {
             let lines = if scan == Scan::Row { &image } else { &columns };
             view_of_shared_noise(scan).depth(lines, line, pixel)

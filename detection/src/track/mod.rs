@@ -48,7 +48,7 @@ pub struct Tracker {
     /// Each in its state at the newest frame that it has taken in.
     targets: Vec<Target>,
     /// The same targets at the time of the present frame.
-    then: Vec<Target>,
+    predicted: Vec<Target>,
     detections: Vec<Detection>,
     association: Association,
     tracks: Vec<Track>,
@@ -79,7 +79,7 @@ impl Tracker {
             has_pose: false,
             next_id: 1,
             targets: Vec::new(),
-            then: Vec::new(),
+            predicted: Vec::new(),
             detections: Vec::new(),
             association: Association::default(),
             tracks: Vec::new(),
@@ -173,9 +173,9 @@ impl Tracker {
     }
 
     fn predict(&mut self, time: &Advance) {
-        let Self { targets, then, has_pose, parameters, .. } = self;
-        then.clear();
-        then.extend(targets.iter().map(|target| target.at(time, *has_pose, parameters)));
+        let Self { targets, predicted, has_pose, parameters, .. } = self;
+        predicted.clear();
+        predicted.extend(targets.iter().map(|target| target.at(time, *has_pose, parameters)));
     }
 
     fn detect(&mut self, objects: &[Object], world_from_camera: &IsometryMatrix3<f64>) {
@@ -186,28 +186,28 @@ impl Tracker {
 
     /// Assigns detections first to undisturbed targets, then to those that may have been pushed.
     fn associate(&mut self, time: &Advance) {
-        let Self { association, then, detections, parameters, .. } = self;
-        association.reset(then.len(), detections.len());
-        association.assign(|target, detection| then[target].cost(&detections[detection], parameters));
+        let Self { association, predicted, detections, parameters, .. } = self;
+        association.reset(predicted.len(), detections.len());
+        association.assign(|target, detection| predicted[target].cost(&detections[detection], parameters));
         association
-            .assign(|target, detection| then[target].cost_of_manoeuvre(&detections[detection], time, parameters));
+            .assign(|target, detection| predicted[target].cost_of_manoeuvre(&detections[detection], time, parameters));
     }
 
     fn update_targets(&mut self, time: &Advance, camera_from_world: &IsometryMatrix3<f64>) {
         self.confirmed.clear();
-        let pairs = self.targets.iter_mut().zip(&mut self.then).zip(self.association.detections());
-        for ((target, then), detection) in pairs {
+        let pairs = self.targets.iter_mut().zip(&mut self.predicted).zip(self.association.detections());
+        for ((target, predicted), detection) in pairs {
             let seen = detection.map(|detection| &self.detections[detection]);
             match seen {
-                Some(seen) => then.see(seen, time, &self.parameters),
-                None => then.miss(time),
+                Some(seen) => predicted.see(seen, time, &self.parameters),
+                None => predicted.miss(time),
             }
-            if then.is_confirmed() && !target.is_confirmed() {
-                self.confirmed.push(then.kind);
+            if predicted.is_confirmed() && !target.is_confirmed() {
+                self.confirmed.push(predicted.kind);
             }
-            target.keep(then, seen, time, &self.parameters);
-            if !then.life.is_lost(&self.parameters) {
-                self.tracks.push(then.track(camera_from_world));
+            target.commit(predicted, seen, time, &self.parameters);
+            if !predicted.life.is_lost(&self.parameters) {
+                self.tracks.push(predicted.track(camera_from_world));
             }
         }
         self.targets.retain(|target| !target.life.is_lost(&self.parameters));

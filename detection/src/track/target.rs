@@ -110,12 +110,12 @@ impl Target {
         then
     }
 
-    /// Keeps the state `then` after a frame in which the target was seen or not.
+    /// Keeps the state `predicted` after a frame in which the target was seen or not.
     ///
     /// A late sighting is taken in at its own time, with the process noise since then added to it, and the motion is moved
     /// forward again. If another camera saw the target last and this one missed it, its motion stays, because that camera may
     /// still send an earlier frame.
-    pub fn keep(&mut self, then: &Self, seen: Option<&Detection>, time: &Advance, config: &TrackerParameters) {
+    pub fn commit(&mut self, predicted: &Self, seen: Option<&Detection>, time: &Advance, config: &TrackerParameters) {
         let lag_s = (self.at_ns - time.at_ns).max(0) as f64 * 1e-9;
         match seen {
             Some(seen) if lag_s > 0.0 => {
@@ -123,8 +123,8 @@ impl Target {
                 self.see(&seen.delayed(lag_s, config), time, config);
                 self.motions.move_in_time(lag_s);
             }
-            None if lag_s > 0.0 || then.seen_by != time.source => self.life = then.life.clone(),
-            _ => self.clone_from(then),
+            None if lag_s > 0.0 || predicted.seen_by != time.source => self.life = predicted.life.clone(),
+            _ => self.clone_from(predicted),
         }
     }
 
@@ -385,7 +385,7 @@ mod tests {
         let mut target = Target::born(1, &first, &time(100), &config);
         // Another camera saw it earlier, and its frame arrives now.
         let before = Advance { source: 1, ..time(60) };
-        target.keep(&target.at(&before, false, &config), Some(&first), &before, &config);
+        target.commit(&target.at(&before, false, &config), Some(&first), &before, &config);
         assert_eq!(target.seen_by, 0, "who saw it last can miss it");
         for (at_ms, since_s) in [(240, 0.14), (220, 0.12), (80, 0.0)] {
             let expected = target.motions.clone().kicked(since_s, &config).mean();

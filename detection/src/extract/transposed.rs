@@ -7,7 +7,7 @@ use wide::u16x8;
 const BLOCK: usize = 8; // [algorithmic]
 
 /// Writes the columns of an image of `width` pixels per row into `columns`, one after another.
-pub(crate) fn turned<'a>(image: &[u16], width: usize, columns: &'a mut Vec<u16>) -> &'a [u16] {
+pub(crate) fn transposed<'a>(image: &[u16], width: usize, columns: &'a mut Vec<u16>) -> &'a [u16] {
     let height = image.len() / width;
     columns.resize(image.len(), 0);
     let whole_rows = height - height % BLOCK;
@@ -40,7 +40,7 @@ mod tests {
         for (width, height) in [(16, 8), (19, 8), (16, 13), (21, 30), (3, 5), (1, 9), (9, 1)] {
             let image: Vec<u16> = (0..width * height).collect();
             let expected: Vec<u16> = (0..width).flat_map(|x| (0..height).map(move |y| y * width + x)).collect();
-            assert_eq!(turned(&image, width.into(), &mut columns), expected, "{width}x{height}");
+            assert_eq!(transposed(&image, width.into(), &mut columns), expected, "{width}x{height}");
         }
     }
 }
