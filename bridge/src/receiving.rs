@@ -384,7 +384,7 @@ impl Refusals {
         let Self { topic, from, .. } = self;
         self.forged.add(format_args!(
             "{did} a message of topic `{topic}` that machine `{from}` has not sent: {why}\n  \
-             hint: whoever can connect can send; with the same `key` on all machines only these can"
+             hint: any machine that can connect can send; with the same `key` on all machines only these can"
         ));
     }
 

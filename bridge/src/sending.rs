@@ -150,7 +150,7 @@ impl<'a> Sending<'a> {
             if self.queue.take_overstated() {
                 self.encoder.left_out.add(format_args!(
                     "left out what machine `{machine}` acknowledges of topic `{topic}`, as it was not sent yet\n  \
-                     hint: whoever can connect can send; with the same `key` on all machines only these can"
+                     hint: any machine that can connect can send; with the same `key` on all machines only these can"
                 ));
             }
         }

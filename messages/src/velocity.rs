@@ -42,7 +42,7 @@ impl Item for Velocity {
 
     fn check(_: &Header, items: &[Self]) -> Result<(), Malformed> {
         check_each(items, |velocity| match Frame::from_code(velocity.frame) {
-            None => Some("is told in no known frame"),
+            None => Some("is in no known frame"),
             Some(_) if finite(&velocity.linear) && finite(&velocity.angular) => None,
             Some(_) => Some("has a number that is not finite"),
         })
@@ -79,7 +79,7 @@ mod tests {
             |velocity| Velocity::check(&Header::default(), &[good, velocity]).map_err(|error| error.to_string());
         assert_eq!(check(Velocity { frame: Frame::World.code(), ..good }), Ok(()));
         let told = check(Velocity { frame: 7, ..good });
-        assert_eq!(told, Err("malformed velocities: item 1 is told in no known frame".into()));
+        assert_eq!(told, Err("malformed velocities: item 1 is in no known frame".into()));
         for spoilt in
             [Velocity { linear: [0.0, f64::NAN, 0.0], ..good }, Velocity { angular: [f64::INFINITY, 0.0, 0.0], ..good }]
         {

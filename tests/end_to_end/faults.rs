@@ -195,9 +195,11 @@ fn a_run_whose_folder_somebody_removes_ends_in_order_and_says_so_also_where_a_st
             "was removed while it went on\n  hint: systemd removes the folder of a login",
             "not complete: its folder was removed while it went on",
         ]);
-        for misleading in
-            ["without having joined", "could not be made ready", "set CONICFLOW_RUNTIME_DIR to a short path"]
-        {
+        for misleading in [
+            "without having joined",
+            "could not start: see its error above",
+            "set CONICFLOW_RUNTIME_DIR to a short path",
+        ] {
             assert!(!ended.stderr.contains(misleading), "{}", ended.stderr);
         }
         let sequences = playground.sequences("tracks.jsonl");
@@ -320,5 +322,5 @@ fn a_program_that_another_one_starts_is_refused_with_what_to_do() {
     let ended = start(&playground).wait().expect_code(1);
     let told = "error: stage `faulty` was not started by its launcher itself, which would not hear of its end\n  \
                 hint: name the program";
-    ended.expect_told(&[told, "ERROR stage `faulty` could not be made ready, for what it told"]);
+    ended.expect_told(&[told, "ERROR stage `faulty` could not start: see its error above"]);
 }

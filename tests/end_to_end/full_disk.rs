@@ -15,7 +15,7 @@ fn expect_failed_for_good(ended: Ended, stage: &str, why: &str) -> Ended {
     let ended = ended.expect_code(1);
     let told = ended.stderr.lines().filter(|line| line.starts_with("error: ") && line.contains(why));
     assert_eq!(told.count(), 1, "{}", ended.stderr);
-    assert!(ended.stderr.contains(&format!("stage `{stage}` could not end its work, for what it told")));
+    assert!(ended.stderr.contains(&format!("stage `{stage}` failed at the end of its work: see its error above")));
     assert!(!ended.stderr.contains("is started anew"), "{}", ended.stderr);
     ended.expect_told(&["\nnot complete: a stage was lost, see above"]);
     ended

@@ -143,7 +143,7 @@ fn an_answer_that_cannot_be_written_comes_later_and_ends_no_run() {
     let in_the_way = playground.runtime().join("run/tracking/swap.answer.new");
     fs::create_dir(&in_the_way).unwrap();
     let asked = playground.start(&["swap", "tracker"]);
-    run.wait_for_text("nobody can be told what became of stage `tracker`");
+    run.wait_for_text("the result of a swap cannot be reported, of stage `tracker`");
     wait_for_lines(&mut run, &playground);
     fs::remove_dir(&in_the_way).unwrap();
     asked.wait().expect_code(0);

@@ -79,7 +79,7 @@ impl Page {
 
     fn command(&self, request: &Request) -> Response {
         if !request.header("content-type").is_some_and(is_json) {
-            return Response::refusal(415, "a wish is told in JSON");
+            return Response::refusal(415, "a command is sent as JSON");
         }
         match serde_json::from_slice(&request.body) {
             Ok(command) => {

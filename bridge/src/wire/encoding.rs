@@ -57,7 +57,8 @@ pub enum WireError {
     UnexpectedCode,
     /// They claim something that the other machine cannot have sent.
     #[error(
-        "it cannot have said that {0}\n  hint: whoever can connect can send; with the same `key` on all machines only these can"
+        "it cannot have said that {0}\n  \
+         hint: any machine that can connect can send; with the same `key` on all machines only these can"
     )]
     Impossible(&'static str),
     /// They are too long.

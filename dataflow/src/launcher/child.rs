@@ -360,14 +360,14 @@ impl Supervised {
             return Change::None;
         }
         if !status.success() && own == Some(Life::Gone) {
-            tracing::error!("stage `{name}` could not end its work, for what it told");
+            tracing::error!("stage `{name}` failed at the end of its work: see its error above");
             return self.give_up(run, Change::Lost);
         }
         if ending {
             return self.stay_away(run);
         }
         if status.code() == Some(i32::from(REFUSED)) {
-            tracing::error!("stage `{name}` could not be made ready, for what it told");
+            tracing::error!("stage `{name}` could not start: see its error above");
             return self.give_up(run, Change::Lost);
         }
         // A program with `restart = "always"` may do its work quickly.

@@ -158,7 +158,7 @@ impl Swap {
         if let Step::Over { outcome, is_late } = step {
             let error = run.folder.answer(request.id, &outcome).err()?;
             if !is_late {
-                tracing::warn!("nobody can be told what became of stage `{}`: {error}", request.stage);
+                tracing::warn!("the result of a swap cannot be reported, of stage `{}`: {error}", request.stage);
             }
             return Some(Self { request, step: Step::Over { outcome, is_late: true }, since });
         }
@@ -497,7 +497,7 @@ mod tests {
             let under_way = swap.take().unwrap();
             let log =
                 logged(|| swap = under_way.go_on(std::slice::from_mut(&mut stage), &mut run.state(Phase::Running)));
-            (swap.is_some(), log.contains("nobody can be told what became of stage `stage`"))
+            (swap.is_some(), log.contains("the result of a swap cannot be reported, of stage `stage`"))
         };
         assert_eq!([go_on(), go_on()], [(true, true), (true, false)]);
         std::fs::remove_dir(&file).unwrap();
