@@ -1,8 +1,8 @@
 //! The method on one page: a depth image becomes ellipses, and ellipses become objects.
 //!
 //! [`detect`] is the whole; its two halves can run in processes of their own, which exchange lists of ellipses. Each step is
-//! a call into the file that is named beside it; `docs/method.md` has the equations. What follows, objects to tracks, is
-//! [`Tracker::update_frame`](crate::Tracker::update_frame).
+//! a call into the file that is named beside it; `docs/method.md` has the equations, `docs/method-details.md` the rest. What
+//! follows, objects to tracks, is [`Tracker::update_frame`](crate::Tracker::update_frame).
 
 use crate::assemble::arcs::Arcs;
 use crate::assemble::choice::{Chosen, choose};
