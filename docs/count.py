@@ -7,9 +7,11 @@ count, nor do the types of `messages`.
 """
 
 import re
+import sys
 from collections import Counter
 from pathlib import Path
 
+sys.dont_write_bytecode = True
 from circles import PACKAGES, USE, circles, home, is_large, leaves, reach, read
 
 CLASS = re.compile(r"\[(?:derived|sigmas|algorithmic|tuned|measured|fitted)\]")
