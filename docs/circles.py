@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Lists circles of imports between the files of each package: `python3 docs/circles.py [FOLDER]...`.
 
-A name is imported from the file that defines it, whatever re-exports it; tests do not count. Ends with 1 where a circle joins
-files of different folders, or more than two files.
+A name is imported from the file that defines it, whatever re-exports it; tests and comments do not count. Ends with 1 where a
+circle joins files of different folders, or more than two files.
 """
 
 import re
@@ -12,6 +12,7 @@ from pathlib import Path
 PACKAGES = [*sorted(map(str, Path(".").glob("*/src"))), "nodes"]
 USE = re.compile(r"^ *(?:pub(?:\(\w+\))? )?use ([^;]+);", re.MULTILINE)
 TESTS = re.compile(r"^#\[cfg\(test\)\]\n(?:pub(?:\(\w+\))? )?mod \w+ \{", re.MULTILINE)
+COMMENT = re.compile(r" *//.*")
 PATH = re.compile(r"(?<![\w:])[a-z_]\w*(?:::\w+)+(?![\w:])")  # in the midst of code
 
 
@@ -41,22 +42,42 @@ def home(path, files, named):
     return home(further[0], files, named) if further else known
 
 
-def circles(root):
+def read(root):
+    """The files of a package by module, their texts without tests and comments, and what each names of the package."""
     files = {}
     for path in [path for path in sorted(root.rglob("*.rs")) if not path.stem.endswith("tests")]:
         module = path.relative_to(root).with_suffix("").parts
         files[module[:-1] if module[-1] in ("mod", "lib") else module] = path
-    texts = {module: TESTS.split(path.read_text())[0] for module, path in files.items()}
+    texts = {module: COMMENT.sub("", TESTS.split(path.read_text())[0]) for module, path in files.items()}
     named = {module: list(uses(module, text, files)) for module, text in texts.items()}
+    return files, texts, named
+
+
+def reach(files, named):
+    """For each module those that it imports from, and those that these import from, and so on."""
     reached = {module: {home(path, files, named) for path in named[module]} - {module} for module in files}
     for middle in files:
         for module in [module for module in files if middle in reached[module]]:
             reached[module] |= reached[middle]
+    return reached
+
+
+def circles(root):
+    files, _, named = read(root)
+    reached = reach(files, named)
     joined = {frozenset(other for other in reached[module] if module in reached[other]) for module in files}
     return [sorted(files[module] for module in circle) for circle in joined if circle]
 
 
-found = [circle for folder in sys.argv[1:] or PACKAGES for circle in circles(Path(folder))]
-large = [circle for circle in found if len(circle) > 2 or len({path.parent for path in circle}) > 1]
-print(*[" ".join(["circle:" if circle in large else "pair:", *map(str, circle)]) for circle in found], sep="\n")
-sys.exit(bool(large))
+def is_large(circle):
+    return len(circle) > 2 or len({path.parent for path in circle}) > 1
+
+
+def main(folders):
+    found = [circle for folder in folders for circle in circles(Path(folder))]
+    print(*[" ".join(["circle:" if is_large(circle) else "pair:", *map(str, circle)]) for circle in found], sep="\n")
+    return any(map(is_large, found))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:] or PACKAGES))

@@ -1,8 +1,8 @@
 //! The method on one page: a depth image becomes ellipses, and ellipses become objects.
 //!
 //! [`detect`] is the whole method. Its two halves can run in separate processes, which exchange lists of ellipses. Each step
-//! calls the file named beside it; `docs/method.md` has the equations. [`Tracker::update_frame`](crate::Tracker::update_frame)
-//! continues from objects to tracks.
+//! calls the file named beside it; `docs/method.md` has the equations, `docs/method-details.md` the
+//! derivations. [`Tracker::update_frame`](crate::Tracker::update_frame) continues from objects to tracks.
 
 use crate::assemble::arcs::Arcs;
 use crate::assemble::choice::{Chosen, choose};
