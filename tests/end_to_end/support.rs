@@ -159,7 +159,7 @@ impl Playground {
     pub fn processes(&self) -> Vec<u32> {
         let runtime = self.runtime.path().to_str();
         let own = |process: &u32| environment(*process, "CONICFLOW_RUNTIME_DIR").as_deref() == runtime;
-        processes().filter(|process| parent(*process).is_some()).filter(own).collect()
+        processes().filter(own).filter(|process| parent(*process).is_some()).collect()
     }
 
     pub fn write(&self, name: &str, text: &str) {
