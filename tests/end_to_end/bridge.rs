@@ -2,7 +2,9 @@
 
 pub use crate::loopback::loopback;
 
-use super::support::{Ended, InputRow, Playground, Started, TRACKING, environment, python_with, signal, wait_until};
+use super::support::{
+    Ended, FINDING, InputRow, Playground, Started, TRACKING, environment, python_with, signal, wait_until,
+};
 use rustix::process::Signal;
 use serde_json::Value as Json;
 use std::process::Command;
@@ -30,6 +32,11 @@ pub fn joined(text: &str, places: &[(&str, &str)], listen: &str, connect: &str) 
 /// [`TRACKING`] with its source and extractor on `robot`, the others on `base`.
 pub fn apart(listen: &str, connect: &str) -> String {
     joined(TRACKING, &HALVES, listen, connect)
+}
+
+/// [`FINDING`] with its sink on `base`, the others on `robot`.
+pub fn finding_apart(endpoint: &str) -> String {
+    joined(FINDING, &[("source", "robot"), ("extractor", "robot"), ("json", "base")], endpoint, endpoint)
 }
 
 /// Two machines with the same file.
@@ -307,7 +314,7 @@ fn a_bridge_that_is_killed_at_the_end_of_a_run_loses_nothing_and_keeps_nobody_wa
     {
         let round = format!("bridge {killed}, still: {still}, after {after_ms} ms");
         let endpoint = loopback();
-        let text = apart(&endpoint, &endpoint).replace("rate_hz    = 0", &format!("rate_hz = 100\nframes = {FRAMES}"));
+        let text = finding_apart(&endpoint).replace("rate_hz    = 0", &format!("rate_hz = 100\nframes = {FRAMES}"));
         let machines = machines(&text);
         let mut runs = [start(&machines[0], "robot"), start(&machines[1], "base")];
         runs[1].wait_until("the last track arrives", || machines[1].lines("tracks.jsonl").len() as u64 == FRAMES);

@@ -4,10 +4,10 @@
 
 #![allow(unsafe_code)] // the calls of another process are seen by `ptrace`
 
-use crate::bridge::{joined, loopback, machines};
+use crate::bridge::{finding_apart, loopback, machines};
 use crate::processes::{files_in_shared_memory, shared_prefix};
 use crate::stress::{files, prefix};
-use crate::support::{DEADLINE, Ended, Playground, environment, signal, wait_until};
+use crate::support::{DEADLINE, Ended, FINDING, FINDING_STAGES, Playground, environment, signal, wait_until};
 use rustix::process::Signal;
 use std::collections::BTreeMap;
 use std::ffi::{c_long, c_void};
@@ -23,29 +23,6 @@ const DEFAULT_POINTS: usize = 4;
 /// A run of so many frames.
 const FRAMES: u64 = 20;
 const RUN: [&str; 5] = ["run", "--frames", "20", "--set", "source.rate_hz=100"];
-
-/// A stage that only writes, one that only reads, and one between them, which are all kinds that share anything.
-const STAGES: [&str; 3] = ["source", "extractor", "json"];
-const PIPELINE: &str = r#"
-name = "tracking"
-
-[stage.source]
-node       = "synthetic_source"
-output     = "depth"
-width      = 64
-height     = 48
-intrinsics = { fx = 200, fy = 200, cx = 31.5, cy = 23.5 }
-
-[stage.extractor]
-node   = "row_ellipse_extractor"
-input  = { topic = "depth", delivery = "lossless" }
-output = "ellipses"
-
-[stage.json]
-node  = "json_sink"
-input = { topic = "ellipses", delivery = "lossless" }
-path  = "tracks.jsonl"
-"#;
 
 /// A stop of a traced thread is one before or after a call.
 const CALL: i32 = libc::SIGTRAP | 0x80;
@@ -223,10 +200,10 @@ fn kill_at_points(who: &str, mut run: impl FnMut(Option<usize>) -> Option<usize>
 
 #[test]
 fn a_process_may_be_killed_before_any_call_by_which_it_shares_something() {
-    let playground = Playground::with_pipeline(PIPELINE);
+    let playground = Playground::with_pipeline(FINDING);
     let prefix = prefix(&playground);
     let before = files(&playground, &prefix);
-    for stage in [None].into_iter().chain(STAGES.map(Some)) {
+    for stage in [None].into_iter().chain(FINDING_STAGES.map(Some)) {
         kill_at_points(stage.unwrap_or("launcher"), |point| {
             fs::remove_file(playground.path("tracks.jsonl")).ok();
             let (ended, calls) = traced(&playground, &RUN, stage, point)?;
@@ -249,8 +226,7 @@ fn a_process_may_be_killed_before_any_call_by_which_it_shares_something() {
 #[test]
 fn a_bridge_may_be_killed_before_any_call_by_which_it_shares_something() {
     let endpoint = loopback();
-    let places = [("source", "robot"), ("extractor", "robot"), ("json", "base")];
-    let [robot, base] = machines(&joined(PIPELINE, &places, &endpoint, &endpoint));
+    let [robot, base] = machines(&finding_apart(&endpoint));
     for (machines, names) in [([&robot, &base], ["robot", "base"]), ([&base, &robot], ["base", "robot"])] {
         kill_at_points(names[0], |point| {
             fs::remove_file(base.path("tracks.jsonl")).ok();

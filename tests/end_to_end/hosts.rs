@@ -271,13 +271,14 @@ intrinsics = {{ fx = 200, fy = 200, cx = 31.5, cy = 23.5 }}
 
 [stage]
 local  = {{ machine = "robot", node = "row_ellipse_extractor", input = "depth", output = "ellipses" }}
+found  = {{ machine = "base", node = "object_assembler", input = "again", output = "found" }}
 json   = {{ machine = "base", node = "json_sink", input = "found", path = "tracks.jsonl" }}
 
 [stage.remote]
 node    = "row_ellipse_extractor"
 machine = "base"
 input   = {{ topic = "depth", compression = "none" }}
-output  = "found"
+output  = "again"
 "#
     );
     let machines = machines(&text);

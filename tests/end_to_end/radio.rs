@@ -32,7 +32,8 @@ lists     = {{ machine = "base", node = "json_sink", input = "objects", path = "
 fn everything_crosses() -> String {
     const IMAGES: &str = r#"
 again  = { machine = "base", node = "row_ellipse_extractor", input = { topic = "depth", compression = "none" }, output = "again" }
-images = { machine = "base", node = "json_sink", input = "again", path = "images.jsonl" }
+found  = { machine = "base", node = "object_assembler", input = "again", output = "found" }
+images = { machine = "base", node = "json_sink", input = "found", path = "images.jsonl" }
 "#;
     let endpoints = format!(r#"["tcp/{ROBOT}:7447", "udp/{ROBOT}:7447"]"#);
     lists_cross(&format!("listen = {endpoints}\ninsecure = true"), &format!("connect = {endpoints}")) + IMAGES
