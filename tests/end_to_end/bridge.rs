@@ -2,7 +2,9 @@
 
 pub use crate::loopback::loopback;
 
-use super::support::{Ended, InputRow, Playground, Started, TRACKING, environment, python_with, signal, wait_until};
+use super::support::{
+    Ended, FINDING, InputRow, Playground, Started, TRACKING, environment, python_with, signal, wait_until,
+};
 use rustix::process::Signal;
 use serde_json::Value as Json;
 use std::process::Command;
@@ -30,6 +32,11 @@ pub fn joined(text: &str, places: &[(&str, &str)], listen: &str, connect: &str) 
 /// [`TRACKING`] with its source and extractor on `robot`, the others on `base`.
 pub fn apart(listen: &str, connect: &str) -> String {
     joined(TRACKING, &HALVES, listen, connect)
+}
+
+/// [`FINDING`] with its sink on `base`, the others on `robot`.
+pub fn finding_apart(endpoint: &str) -> String {
+    joined(FINDING, &[("source", "robot"), ("extractor", "robot"), ("json", "base")], endpoint, endpoint)
 }
 
 /// Two machines with the same file.
@@ -113,13 +120,13 @@ fn end(runs: [Started; 2], machines: &[Playground; 2]) {
 #[test]
 fn two_machines_find_the_same_tracks_as_one_bit_for_bit_whoever_starts_first() {
     let alone = Playground::with_pipeline(TRACKING);
-    alone.conicflow(&["run", "--frames", "200"]).expect_code(0);
+    alone.conicflow(&["run", "--frames", "80"]).expect_code(0);
     let expected = tracks(&alone);
-    assert_eq!(expected.len(), 200);
+    assert_eq!(expected.len(), 80);
     for robot_first in [true, false] {
         let endpoint = loopback();
         let [robot, base] = machines(&apart(&endpoint, &endpoint));
-        let start_robot = || robot.start(&["run", "--machine", "robot", "--frames", "200"]);
+        let start_robot = || robot.start(&["run", "--machine", "robot", "--frames", "80"]);
         let (mut first, second) = if robot_first { (start_robot(), None) } else { (start(&base, "base"), Some(())) };
         first.wait_until("the first machine's bridge runs", || {
             process_of(if robot_first { &robot } else { &base }, "bridge").is_some()
@@ -128,8 +135,8 @@ fn two_machines_find_the_same_tracks_as_one_bit_for_bit_whoever_starts_first() {
         let (robot_run, base_run) = if robot_first { (first, other) } else { (other, first) };
         let (sent, received) = (robot_run.wait().expect_code(0), base_run.wait().expect_code(0));
         assert_eq!(tracks(&base), expected, "robot first: {robot_first}");
-        assert_eq!(link(&sent, "base", "ellipses")[..2], [200, 0]);
-        assert_eq!(link(&received, "robot", "ellipses")[..2], [200, 0]);
+        assert_eq!(link(&sent, "base", "ellipses")[..2], [80, 0]);
+        assert_eq!(link(&received, "robot", "ellipses")[..2], [80, 0]);
     }
 }
 
@@ -137,7 +144,7 @@ fn two_machines_find_the_same_tracks_as_one_bit_for_bit_whoever_starts_first() {
 fn what_comes_from_another_machine_is_seen_in_its_topic() {
     let machines = live_machines();
     let mut runs = [start(&machines[0], "robot"), start(&machines[1], "base")];
-    runs[1].wait_until("tracks arrive", || newest(&machines[1]) > 60);
+    runs[1].wait_until("tracks arrive", || newest(&machines[1]) > 20);
     let look = |arguments: &[&str]| machines[1].conicflow(&[&["topic"], arguments].concat()).expect_code(0).stdout;
     // Rates are those of the last second, in which a busy host may have carried nothing.
     runs[1].wait_until("the list tells its rate", || {
@@ -207,7 +214,7 @@ fn a_machine_whose_run_was_ended_and_begun_again_gets_what_is_new_of_a_lossless_
 fn a_lossless_edge_goes_on_where_the_machine_that_sends_is_killed_and_started_again() {
     let [robot, base] = &lossless_machines();
     let (robot_run, mut base_run) = (start(robot, "robot"), start(base, "base"));
-    let lines = || base.sequences("tracks.jsonl").len();
+    let lines = || base.lines("tracks.jsonl").len();
     base_run.wait_until("tracks arrive", || lines() > 40);
     signal(robot_run.id(), Signal::KILL);
     drop(robot_run);
@@ -256,8 +263,8 @@ fn kill_the_bridge_of(killed: usize) -> u64 {
     let endpoint = loopback();
     let machines = machines(&apart(&endpoint, &endpoint));
     let mut runs = [start(&machines[0], "robot"), start(&machines[1], "base")];
-    let mut go_on = || wait_for_frames(&mut runs[1], &machines[1], 100);
-    for _ in 0..4 {
+    let mut go_on = || wait_for_frames(&mut runs[1], &machines[1], 40);
+    for _ in 0..3 {
         go_on();
         kill(&machines[killed], "bridge");
     }
@@ -284,7 +291,7 @@ fn nothing_is_lost_with_a_sending_bridge_that_is_killed() {
 
 #[test]
 fn what_waits_for_a_machine_is_not_lost_with_a_sending_bridge_that_is_killed() {
-    const FRAMES: u64 = 300;
+    const FRAMES: u64 = 100;
     let endpoint = loopback();
     let text = apart(&endpoint, &endpoint).replace("rate_hz    = 0", &format!("rate_hz = 0\nframes = {FRAMES}"));
     let [robot, base] = machines(&text);
@@ -301,16 +308,16 @@ fn what_waits_for_a_machine_is_not_lost_with_a_sending_bridge_that_is_killed() {
 /// Whoever is killed while the last messages and the ends are on their way, and whatever of that has arrived by then.
 #[test]
 fn a_bridge_that_is_killed_at_the_end_of_a_run_loses_nothing_and_keeps_nobody_waiting() {
-    const FRAMES: u64 = 40;
+    const FRAMES: u64 = 10;
     for (killed, still, after_ms) in
         [(0, false, 0), (1, false, 0), (0, true, 0), (1, true, 0), (0, true, 300), (1, false, 20), (0, false, 40)]
     {
         let round = format!("bridge {killed}, still: {still}, after {after_ms} ms");
         let endpoint = loopback();
-        let text = apart(&endpoint, &endpoint).replace("rate_hz    = 0", &format!("rate_hz = 100\nframes = {FRAMES}"));
+        let text = finding_apart(&endpoint).replace("rate_hz    = 0", &format!("rate_hz = 100\nframes = {FRAMES}"));
         let machines = machines(&text);
         let mut runs = [start(&machines[0], "robot"), start(&machines[1], "base")];
-        runs[1].wait_until("the last track arrives", || machines[1].sequences("tracks.jsonl").len() as u64 == FRAMES);
+        runs[1].wait_until("the last track arrives", || machines[1].lines("tracks.jsonl").len() as u64 == FRAMES);
         std::thread::sleep(Duration::from_millis(after_ms));
         let process = process_of(&machines[killed], "bridge");
         if let Some(process) = process.filter(|_| still) {
@@ -329,7 +336,7 @@ fn a_bridge_that_is_killed_at_the_end_of_a_run_loses_nothing_and_keeps_nobody_wa
 /// A stage is held up for longer than a bridge waits for readers that have ended.
 #[test]
 fn a_reader_that_stands_still_for_long_misses_nothing() {
-    const FRAMES: u64 = 300;
+    const FRAMES: u64 = 200;
     let endpoint = loopback();
     let text = apart(&endpoint, &endpoint).replace("rate_hz    = 0", &format!("rate_hz = 100\nframes = {FRAMES}"));
     let machines = machines(&text);

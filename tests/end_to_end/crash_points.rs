@@ -4,10 +4,10 @@
 
 #![allow(unsafe_code)] // the calls of another process are seen by `ptrace`
 
-use crate::bridge::{apart, loopback, machines};
+use crate::bridge::{finding_apart, loopback, machines};
 use crate::processes::{files_in_shared_memory, shared_prefix};
 use crate::stress::{files, prefix};
-use crate::support::{DEADLINE, Ended, Playground, TRACKING, TRACKING_STAGES, environment, signal, wait_until};
+use crate::support::{DEADLINE, Ended, FINDING, FINDING_STAGES, Playground, environment, signal, wait_until};
 use rustix::process::Signal;
 use std::collections::BTreeMap;
 use std::ffi::{c_long, c_void};
@@ -200,10 +200,10 @@ fn kill_at_points(who: &str, mut run: impl FnMut(Option<usize>) -> Option<usize>
 
 #[test]
 fn a_process_may_be_killed_before_any_call_by_which_it_shares_something() {
-    let playground = Playground::with_pipeline(TRACKING);
+    let playground = Playground::with_pipeline(FINDING);
     let prefix = prefix(&playground);
     let before = files(&playground, &prefix);
-    for stage in [None].into_iter().chain(TRACKING_STAGES.map(Some)) {
+    for stage in [None].into_iter().chain(FINDING_STAGES.map(Some)) {
         kill_at_points(stage.unwrap_or("launcher"), |point| {
             fs::remove_file(playground.path("tracks.jsonl")).ok();
             let (ended, calls) = traced(&playground, &RUN, stage, point)?;
@@ -226,7 +226,7 @@ fn a_process_may_be_killed_before_any_call_by_which_it_shares_something() {
 #[test]
 fn a_bridge_may_be_killed_before_any_call_by_which_it_shares_something() {
     let endpoint = loopback();
-    let [robot, base] = machines(&apart(&endpoint, &endpoint));
+    let [robot, base] = machines(&finding_apart(&endpoint));
     for (machines, names) in [([&robot, &base], ["robot", "base"]), ([&base, &robot], ["base", "robot"])] {
         kill_at_points(names[0], |point| {
             fs::remove_file(base.path("tracks.jsonl")).ok();

@@ -204,14 +204,12 @@ fn after_an_outage_live_edges_carry_what_is_new() {
     expect_unfelt(&robot_ended.input("depth", "extractor"));
 }
 
-/// The frames that are made where nothing may be lost.
-const FRAMES: u64 = 200;
-
-/// Lossless edges over a bad cable give, bit for bit, what one machine finds; `disturb` is told what the base has found.
-pub fn nothing_is_lost(hosts: &Hosts, disturb: impl FnOnce(&Playground)) {
+/// Lossless edges over a bad cable give, bit for bit, what one machine finds in so many frames; `disturb` is told what the base
+/// has found.
+pub fn nothing_is_lost(hosts: &Hosts, frames: u64, disturb: impl FnOnce(&Playground)) {
     let alone = Playground::with_pipeline(TRACKING);
-    alone.conicflow(&["run", "--frames", &FRAMES.to_string(), "--set", "source.rate_hz=40"]).expect_code(0);
-    let paced = text().replace("rate_hz    = 0", &format!("rate_hz = 40\nframes = {FRAMES}"));
+    alone.conicflow(&["run", "--frames", &frames.to_string(), "--set", "source.rate_hz=40"]).expect_code(0);
+    let paced = text().replace("rate_hz    = 0", &format!("rate_hz = 40\nframes = {frames}"));
     let machines = machines(&paced);
     let mut runs = hosts.start_both(&machines);
     runs[1].wait_until("tracks arrive", || newest(&machines[1]) > 20);
@@ -224,7 +222,9 @@ pub fn nothing_is_lost(hosts: &Hosts, disturb: impl FnOnce(&Playground)) {
 #[test]
 fn lossless_edges_lose_nothing_to_an_outage() {
     let Some(hosts) = Hosts::new() else { return };
-    nothing_is_lost(&hosts, |base| {
+    // More than both sides keep while the cable is out.
+    const FRAMES: u64 = 200;
+    nothing_is_lost(&hosts, FRAMES, |base| {
         for outage in OUTAGES {
             let before = newest(base);
             hosts.cable("down");
@@ -241,7 +241,7 @@ fn lossless_edges_lose_nothing_to_a_slow_cable_that_drops_packets() {
     if !hosts.spoil("50mbit") {
         return;
     }
-    nothing_is_lost(&hosts, |_| {});
+    nothing_is_lost(&hosts, 100, |_| {});
 }
 
 #[test]
@@ -271,13 +271,14 @@ intrinsics = {{ fx = 200, fy = 200, cx = 31.5, cy = 23.5 }}
 
 [stage]
 local  = {{ machine = "robot", node = "row_ellipse_extractor", input = "depth", output = "ellipses" }}
+found  = {{ machine = "base", node = "object_assembler", input = "again", output = "found" }}
 json   = {{ machine = "base", node = "json_sink", input = "found", path = "tracks.jsonl" }}
 
 [stage.remote]
 node    = "row_ellipse_extractor"
 machine = "base"
 input   = {{ topic = "depth", compression = "none" }}
-output  = "found"
+output  = "again"
 "#
     );
     let machines = machines(&text);

@@ -32,7 +32,8 @@ lists     = {{ machine = "base", node = "json_sink", input = "objects", path = "
 fn everything_crosses() -> String {
     const IMAGES: &str = r#"
 again  = { machine = "base", node = "row_ellipse_extractor", input = { topic = "depth", compression = "none" }, output = "again" }
-images = { machine = "base", node = "json_sink", input = "again", path = "images.jsonl" }
+found  = { machine = "base", node = "object_assembler", input = "again", output = "found" }
+images = { machine = "base", node = "json_sink", input = "found", path = "images.jsonl" }
 "#;
     let endpoints = format!(r#"["tcp/{ROBOT}:7447", "udp/{ROBOT}:7447"]"#);
     lists_cross(&format!("listen = {endpoints}\ninsecure = true"), &format!("connect = {endpoints}")) + IMAGES
@@ -172,7 +173,7 @@ fn the_robot_does_not_feel_a_bad_radio_and_lists_stay_fresh_while_images_are_lat
     let base = &machines[1];
     let mut robot = Robot { machine: &machines[0], run: hosts.start(&machines[0], "robot") };
     robot.go_on(20);
-    let alone = robot.watch("alone", |robot| robot.go_on(100));
+    let alone = robot.watch("alone", |robot| robot.go_on(60));
     let mut base_run = hosts.start(base, "base");
     let arrives = |file: &'static str, after: u64| move || base.newest(file) > after;
     let frame = robot.frame();
@@ -183,7 +184,7 @@ fn the_robot_does_not_feel_a_bad_radio_and_lists_stay_fresh_while_images_are_lat
     // The radio takes 100 ms, and every twentieth packet.
     pair.expect_a_good_window(
         "radio slow",
-        |robot| robot.go_on(150),
+        |robot| robot.go_on(100),
         |lists| match (lists.share() > 0.6, lists.latency(0.5) < 200.0) {
             (false, _) => Some("more lists are lost than packets, of which a busy host adds some"),
             (_, false) => Some("lists wait for what was lost, or behind images"),
@@ -217,7 +218,7 @@ fn the_robot_does_not_feel_a_bad_radio_and_lists_stay_fresh_while_images_are_lat
 #[test]
 fn lossless_edges_lose_nothing_over_a_bad_radio() {
     let Some(hosts) = Hosts::with_radio(50) else { return };
-    nothing_is_lost(&hosts, |_| {});
+    nothing_is_lost(&hosts, 100, |_| {});
 }
 
 /// What comes of objects alone over ways that are encrypted.

@@ -191,7 +191,7 @@ type Encode = fn(Stamped<'_>, &Camera, &[u16]) -> Vec<u8>;
 
 /// The lines that frames of files give, and those that the same frames give as messages of such a topic.
 fn of_files_and_of_ros(name: &str, kind: &str, hash: &str, encode: Encode) -> [Vec<Json>; 2] {
-    const FRAMES: u64 = 24;
+    const FRAMES: u64 = 10;
     // A unit of depth is a part of the noise, and clouds have smaller ones: a model that tells of noise makes them alike.
     let with_noise = |text: String| text.replace("\"ideal\"", "\"kinect_v1\"");
     let (files, camera, images) = recorded(&with_noise(RECORDING.to_owned()), FRAMES);
@@ -279,7 +279,7 @@ fn images_that_come_below_the_key_are_taken() {
 /// Where nodes speak DDS, `zenoh-bridge-ros2dds` carries their topics: by their names, with tokens of its own and no attachments.
 #[test]
 fn topics_that_a_bridge_carries_from_dds_come_and_go() {
-    const FRAMES: usize = 20;
+    const FRAMES: usize = 10;
     let (files, camera, images) = recorded(RECORDING, FRAMES as u64);
     files.conicflow(&["run"]).expect_code(0);
     let (endpoint, _router, session) = behind_router();

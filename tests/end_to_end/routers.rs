@@ -43,7 +43,7 @@ fn start_both([robot, base]: &[Playground; 2]) -> [Started; 2] {
 
 #[test]
 fn nothing_is_lost_through_a_router() {
-    let finite = TRACKING.replace("rate_hz    = 0", "rate_hz    = 0\nframes     = 200");
+    let finite = TRACKING.replace("rate_hz    = 0", "rate_hz    = 0\nframes     = 80");
     let alone = Playground::with_pipeline(&finite);
     alone.conicflow(&["run"]).expect_code(0);
     for modes in [["client", "client"], ["peer", "client"]] {

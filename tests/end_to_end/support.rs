@@ -57,6 +57,32 @@ input = { topic = "tracks", delivery = "lossless" }
 path  = "tracks.jsonl"
 "#;
 
+/// A stage that only writes, one that only reads, and one between them, with little to do at each frame.
+pub const FINDING: &str = r#"
+name = "tracking"
+
+[stage.source]
+node       = "synthetic_source"
+output     = "depth"
+width      = 16
+height     = 12
+rate_hz    = 0
+intrinsics = { fx = 50, fy = 50, cx = 7.5, cy = 5.5 }
+
+[stage.extractor]
+node   = "row_ellipse_extractor"
+input  = { topic = "depth", delivery = "lossless" }
+output = "ellipses"
+
+[stage.json]
+node  = "json_sink"
+input = { topic = "ellipses", delivery = "lossless" }
+path  = "tracks.jsonl"
+"#;
+
+/// The names of its stages.
+pub const FINDING_STAGES: [&str; 3] = ["source", "extractor", "json"];
+
 /// The stages of [`TRACKING`] behind another source; they take each message (`lossless`), or the newest one (`latest`).
 pub fn tracking_behind(source: &str, delivery: &str) -> String {
     let (_, stages) = TRACKING.split_once("[stage.extractor]").unwrap();
@@ -159,7 +185,7 @@ impl Playground {
     pub fn processes(&self) -> Vec<u32> {
         let runtime = self.runtime.path().to_str();
         let own = |process: &u32| environment(*process, "CONICFLOW_RUNTIME_DIR").as_deref() == runtime;
-        processes().filter(|process| parent(*process).is_some()).filter(own).collect()
+        processes().filter(own).filter(|process| parent(*process).is_some()).collect()
     }
 
     pub fn write(&self, name: &str, text: &str) {

@@ -36,7 +36,7 @@ impl Star {
 }
 
 fn finite() -> String {
-    TRACKING.replace("rate_hz    = 0", "rate_hz    = 60\nframes     = 200")
+    TRACKING.replace("rate_hz    = 0", "rate_hz    = 60\nframes     = 80")
 }
 
 fn found_by_one_machine() -> Vec<serde_json::Value> {

@@ -1,8 +1,17 @@
 //! The compression methods of edges between machines, and their numbers on the wire.
 
 use conicflow_dataflow::pipeline::Compression;
+use std::cell::RefCell;
+use std::io;
+use zstd::bulk::{Compressor, Decompressor};
 
 const ZSTD_LEVEL: i32 = 1;
+
+thread_local! {
+    /// What packs and unpacks is kept: to make it takes longer than a short list.
+    static COMPRESSOR: RefCell<io::Result<Compressor<'static>>> = RefCell::new(Compressor::new(ZSTD_LEVEL));
+    static DECOMPRESSOR: RefCell<io::Result<Decompressor<'static>>> = RefCell::new(Decompressor::new());
+}
 
 /// The number of a method.
 pub(super) fn tag_of(how: Compression) -> u8 {
@@ -28,7 +37,10 @@ pub(super) fn pack(how: Compression, bytes: &[u8]) -> Result<Vec<u8>, String> {
     match how {
         Compression::None => Ok(bytes.to_vec()),
         Compression::Lz4 => Ok(lz4_flex::block::compress(bytes)),
-        Compression::Zstd => zstd::bulk::compress(bytes, ZSTD_LEVEL).map_err(|error| error.to_string()),
+        Compression::Zstd => COMPRESSOR.with_borrow_mut(|compressor| {
+            let packed = compressor.as_mut().map(|compressor| compressor.compress(bytes));
+            packed.map_err(|error| error.to_string())?.map_err(|error| error.to_string())
+        }),
     }
 }
 
@@ -37,7 +49,10 @@ pub(super) fn unpack(how: Compression, packed: &[u8], length: usize) -> Result<V
     let unpacked = match how {
         Compression::None => packed.to_vec(),
         Compression::Lz4 => lz4_flex::block::decompress(packed, length).map_err(|error| error.to_string())?,
-        Compression::Zstd => zstd::bulk::decompress(packed, length).map_err(|error| error.to_string())?,
+        Compression::Zstd => DECOMPRESSOR.with_borrow_mut(|decompressor| {
+            let unpacked = decompressor.as_mut().map(|decompressor| decompressor.decompress(packed, length));
+            unpacked.map_err(|error| error.to_string())?.map_err(|error| error.to_string())
+        })?,
     };
     let came = unpacked.len();
     if came == length { Ok(unpacked) } else { Err(format!("{came} bytes unpacked, expected {length}")) }

@@ -52,9 +52,10 @@ pub(super) fn compress(
     let words: Vec<_> = items.iter().map(|item| to_words(header, item, &mut before)).collect();
     bytes.extend(length_of(&words)?);
     for level in (0..LEVELS).rev() {
-        let plane: Vec<u8> = (0..WHOLE + REAL)
-            .flat_map(|column| words.iter().map(move |words| (words[column] >> (8 * level)) as u8))
-            .collect();
+        let mut plane = Vec::with_capacity(words.len() * (WHOLE + REAL));
+        for column in 0..WHOLE + REAL {
+            plane.extend(words.iter().map(|words| (words[column] >> (8 * level)) as u8));
+        }
         let packed = pack(how, &plane)?;
         bytes.extend(length_of(&packed)?);
         bytes.extend(packed);
