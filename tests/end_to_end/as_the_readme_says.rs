@@ -96,14 +96,14 @@ fn who_has_a_robot_with_ros_reaches_its_router() {
 fn who_has_two_machines_runs_the_halves_of_a_pipeline() {
     let Some(host) = Host::new() else { return };
     let [robot, base] = commands("two machines")[..] else { panic!("two commands") };
-    let runs = [(robot, "--frames 90"), (base, "--set console.period_s=0.1")].map(|(command, shorter)| {
+    let runs = [(robot, "--frames 60"), (base, "--set console.period_s=0.1")].map(|(command, shorter)| {
         let playground = Playground::new();
         let mut shell = shell(&playground, &format!("{command} {shorter}"));
         (host.start(shell.current_dir(ROOT)), playground)
     });
     let [robot, base] = runs.map(|(run, _playground)| run.wait().expect_code(0));
     let [sent, lost, _] = link(&robot, "base", "ellipses");
-    assert!(sent > 60 && lost == 0, "{}", robot.stderr);
+    assert!(sent > 30 && lost == 0, "{}", robot.stderr);
     assert!(base.stdout.lines().count() > 5, "{}", base.stdout);
 }
 
@@ -174,6 +174,21 @@ fn who_has_a_program_in_c_gets_objects_from_the_library() {
     assert!(told.starts_with("sphere at (") && told.contains(" 1.000) m, radius 0.1500 m +- "), "{told}");
 }
 
+/// Makes an environment of its own in `venv`, and has what the package needs come. pip and NumPy are those of PYTHON where it has
+/// them: to unpack both takes longer than to make the package.
+const READY: &str = r#"
+if there=$(PYTHON -c 'import numpy, pip; print(*numpy.__path__, *pip.__path__)'); then
+    PYTHON -m venv --without-pip venv
+    for package in $there; do ln -s "$package"* venv/lib/python3*/site-packages/; done
+    printf '#!/bin/sh\nexec python -m pip "$@"\n' >venv/bin/pip
+    chmod +x venv/bin/pip
+else
+    PYTHON -m venv venv
+    pip install --quiet --timeout 20 --retries 1 numpy
+fi
+pip download --quiet --timeout 20 --retries 1 --no-deps --dest wheels 'maturin>=1.9,<2'
+"#;
+
 #[test]
 fn who_has_python_installs_the_package_and_finds_objects() {
     let (playground, what) = (frames(), "that `pip install ./python` works");
@@ -182,6 +197,7 @@ fn who_has_python_installs_the_package_and_finds_objects() {
         return;
     }
     let folders = format!("{}:{}", playground.path("venv/bin").display(), std::env::var("PATH").unwrap());
+    let wheels = playground.path("wheels");
     // The tests' own build has left there a part of what the package is made of.
     let target = Path::new(env!("CARGO_TARGET_TMPDIR")).parent().unwrap();
     let run = |script: &str, folder: &Path| {
@@ -191,12 +207,11 @@ fn who_has_python_installs_the_package_and_finds_objects() {
             .current_dir(folder)
             .env("PATH", &folders)
             .env("CARGO_TARGET_DIR", target)
-            .env("MATURIN_PEP517_ARGS", "--profile dev");
+            .env("MATURIN_PEP517_ARGS", "--profile dev")
+            .env("PIP_FIND_LINKS", &wheels);
         shell.output().unwrap()
     };
-    let ready =
-        format!("{python} -m venv venv && pip install --quiet --timeout 20 --retries 1 'maturin>=1.9,<2' numpy");
-    if !run(&ready, &playground.path(".")).status.success() {
+    if !run(&READY.replace("PYTHON", &python), &playground.path(".")).status.success() {
         eprintln!("SKIPPED: maturin and numpy cannot be installed here; {what} was not shown");
         return;
     }

@@ -3,10 +3,12 @@
 
 use crate::compare::{PAPER, simulated};
 use crate::support::{Playground, TRACKING, wait_until};
-use crate::view::{Page, SLOWLY, recording};
+use crate::view::{Page, recording};
 use crate::webdriver::{Browser, in_each_browser};
 use serde_json::Value as Json;
 
+/// A run that goes on until it is ended, at a pace that leaves a browser without a graphics card time for other things.
+const PACED: [&str; 3] = ["run", "--set", "source.rate_hz=10"];
 /// How many different colours an image has that was drawn on the page.
 const COLOURS: &str = "(() => { const c = document.getElementById('image'); \
     const d = new Uint32Array(c.getContext('2d').getImageData(0, 0, c.width, c.height).data.buffer); \
@@ -15,7 +17,7 @@ const COLOURS: &str = "(() => { const c = document.getElementById('image'); \
 /// Each browser is started once: that takes longer than most of what is seen.
 #[test]
 fn each_browser_shows_runs_recordings_and_variants() {
-    in_each_browser(1400, 1000, |browser| {
+    in_each_browser(1000, 700, |browser| {
         it_shows_a_run_in_the_image_in_space_and_as_stages(browser);
         it_plays_a_recording_by_its_time_line_also_on_a_phone(browser);
         it_pauses_a_run_and_steps_it(browser);
@@ -24,9 +26,9 @@ fn each_browser_shows_runs_recordings_and_variants() {
 }
 
 fn it_shows_a_run_in_the_image_in_space_and_as_stages(browser: &Browser) {
-    browser.resize(1400, 1000);
+    browser.resize(1000, 700);
     let playground = Playground::with_pipeline(TRACKING);
-    let run = playground.start(&SLOWLY);
+    let run = playground.start(&PACED);
     let page = Page::open(&playground, &[]);
     browser.visit(&page.url());
     browser.wait("tracks are listed", "document.querySelectorAll('#list tbody .swatch').length > 0");
@@ -57,17 +59,17 @@ fn it_shows_a_run_in_the_image_in_space_and_as_stages(browser: &Browser) {
 fn it_plays_a_recording_by_its_time_line_also_on_a_phone(browser: &Browser) {
     browser.resize(500, 900);
     let playground = Playground::new();
-    recording(&playground, "60");
+    recording(&playground, "30");
     let page = Page::open(&playground, &["run.mcap"]);
     browser.visit(&page.url());
     browser.wait("the time line is there", "!document.getElementById('timeline').hidden");
     browser.wait("it plays to its end", "document.getElementById('play').getAttribute('aria-label') === 'Play'");
     let shows = |sequence: u64| format!("document.getElementById('sequence').textContent === '{sequence}'");
-    browser.wait("the last frame", &shows(59));
+    browser.wait("the last frame", &shows(29));
     browser.click("#back");
-    browser.wait("the frame before", &shows(58));
+    browser.wait("the frame before", &shows(28));
     browser.click("#forward");
-    browser.wait("and the last again", &shows(59));
+    browser.wait("and the last again", &shows(29));
     browser.value(
         "(() => { const p = document.getElementById('position'); p.value = '0'; \
          p.dispatchEvent(new Event('input')); })()",
@@ -81,9 +83,9 @@ fn it_plays_a_recording_by_its_time_line_also_on_a_phone(browser: &Browser) {
 }
 
 fn it_pauses_a_run_and_steps_it(browser: &Browser) {
-    browser.resize(1400, 1000);
+    browser.resize(1000, 700);
     let playground = Playground::with_pipeline(TRACKING);
-    let _run = playground.start(&SLOWLY);
+    let _run = playground.start(&PACED);
     let page = Page::open(&playground, &[]);
     browser.visit(&page.url());
     browser.wait(
@@ -116,7 +118,7 @@ fn it_pauses_a_run_and_steps_it(browser: &Browser) {
 fn it_shows_two_variants_one_over_the_other(browser: &Browser) {
     let playground = Playground::with_pipeline(&simulated());
     playground.conicflow(&[&["compare", "--record", "kept", "--a"], &PAPER[..]].concat()).expect_code(0);
-    for (name, width, height) in [("variants", 1400, 1000), ("variants_phone", 500, 900)] {
+    for (name, width, height) in [("variants", 1000, 700), ("variants_phone", 500, 900)] {
         browser.resize(width, height);
         let page = Page::open(&playground, &["kept/a.mcap", "kept/b.mcap"]);
         browser.visit(&page.url());

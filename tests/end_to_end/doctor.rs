@@ -125,7 +125,8 @@ fn a_run_for_which_shared_memory_is_too_small_does_not_begin() {
 fn a_run_for_which_shared_memory_is_just_large_enough_works() {
     let Some(memory) = OwnSharedMemory::new("16m") else { return };
     let playground = tracking();
-    let wide = ["--frames", "30", "--set", "source.width=1280", "--set", "source.height=720"];
+    let wide =
+        ["--frames", "30", "--set", "source.width=1280", "--set", "source.height=720", "--set", "source.noise=ideal"];
     memory.conicflow(&playground, &[&["run"], &wide[..]].concat()).expect_code(0);
     assert_eq!(playground.sequences("tracks.jsonl").len(), 30);
 }

@@ -281,7 +281,7 @@ fn a_run_of_frames_whose_truth_nobody_told_ends_at_the_first_of_them() {
 fn an_experiment_that_is_ended_from_outside_shows_the_runs_before() {
     let edits = [("[1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0]", "[2.0, 2.5]"), ("from_s = 1.0 ", "from_s = 0.0 ")];
     let playground = playground("accuracy", &edits);
-    let mut run = playground.start(&["run", "accuracy.toml", "--frames", "200"]);
+    let mut run = playground.start(&["run", "accuracy.toml", "--frames", "120"]);
     run.wait_for_text("run 3 of 4");
     signal(run.id(), Signal::INT);
     let ended = run.wait().expect_code(1);

@@ -25,7 +25,7 @@ fn a_run_at_work_goes_on_where_others_fill_shared_memory() {
     let Some(memory) = OwnSharedMemory::new("32m") else { return };
     let playground = Playground::outside_shared_memory().and_pipeline(&pipeline("latest"));
     let mut run = memory.start(&playground, &["run"]);
-    run.wait_until("tracks come", || playground.lines("tracks.jsonl").len() > 5);
+    run.wait_until("tracks come", || playground.count("tracks.jsonl") > 5);
     fill(&memory);
     // Only now the queue fills, with images that had not been under way at once before.
     let stages = stages_of(run.id());
@@ -33,8 +33,8 @@ fn a_run_at_work_goes_on_where_others_fill_shared_memory() {
     let before = messages(&playground, "source");
     run.wait_until("the queue is full", || messages(&playground, "source") > before + 20);
     signal(stages["extractor"], Signal::CONT);
-    let before = playground.lines("tracks.jsonl").len();
-    run.wait_until("tracks come again", || playground.lines("tracks.jsonl").len() > before + 5);
+    let before = playground.count("tracks.jsonl");
+    run.wait_until("tracks come again", || playground.count("tracks.jsonl") > before + 5);
     let ended = run.end();
     stages.keys().for_each(|stage| assert_eq!(ended.stage(stage).starts, 1, "{}", ended.stderr));
     assert_eq!(memory.files(), ["of_another_program"]);

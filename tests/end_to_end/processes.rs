@@ -28,8 +28,8 @@ pub fn start(playground: &Playground) -> Started {
 
 /// Waits until a run delivers more than it has so far.
 pub fn wait_for_lines(run: &mut Started, playground: &Playground) {
-    let before = playground.lines("tracks.jsonl").len();
-    run.wait_until("it delivers", || playground.lines("tracks.jsonl").len() > before + 3);
+    let before = playground.count("tracks.jsonl");
+    run.wait_until("it delivers", || playground.count("tracks.jsonl") > before + 3);
 }
 
 /// Waits until each writer before a stage that was stopped waits for the one after it, and the source has made nothing meanwhile.

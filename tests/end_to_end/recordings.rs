@@ -280,7 +280,7 @@ fn other_programs_read_what_is_recorded() {
     let checked = rerun(&["mcap", "check", "run.mcap"]).expect_code(0).stdout;
     let channels: Vec<_> = checked.lines().filter(|line| line.contains("/source/")).collect();
     assert!(channels.len() > 10 && channels.iter().all(|line| line.trim_start().starts_with("ok")), "{checked}");
-    let shown = ["run.mcap", "--headless", "--bind", "127.0.0.1", "--port", "0", "--window-size", "1400x900"];
+    let shown = ["run.mcap", "--headless", "--bind", "127.0.0.1", "--port", "0", "--window-size", "800x500"];
     let mut most = None;
     // Where a machine is busy Rerun takes the picture before it has read the file, or gives up what takes more than ten seconds
     // to draw, and does not end then.
@@ -308,6 +308,7 @@ fn other_programs_read_what_is_recorded() {
         eprintln!("SKIPPED: this machine is too busy for Rerun to draw by software; what it draws was not shown");
         return;
     };
+    eprintln!("Rerun draws in {most} colours");
     assert!(most > COLOURS, "{most} colours");
     if let Ok(folder) = std::env::var("CONICFLOW_PICTURES") {
         fs::copy(playground.path("shot.png"), format!("{folder}/rerun.png")).unwrap();

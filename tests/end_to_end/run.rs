@@ -93,15 +93,15 @@ fn quiet_runs_say_nothing() {
     assert_eq!(playground.sequences("tracks.jsonl"), [0, 1, 2]);
 }
 
-/// The lines of a run of [`TRACKING`] over 1000 frames, without the times that the machine took.
+/// The lines of a run of [`TRACKING`] over 500 frames, without the times that the machine took.
 fn lossless_run() -> Vec<Json> {
     let playground = Playground::with_pipeline(TRACKING);
-    let ended = playground.conicflow(&["run", "--set", "source.frames=1000"]).expect_code(0);
+    let ended = playground.conicflow(&["run", "--set", "source.frames=500"]).expect_code(0);
     for stage in TRACKING_STAGES {
         let row = ended.stage(stage);
-        assert_eq!((row.messages, row.starts), (1000, 1), "{stage}");
+        assert_eq!((row.messages, row.starts), (500, 1), "{stage}");
     }
-    TRACKING_TOPICS.iter().for_each(|(topic, _, reader)| ended.expect_all(topic, reader, 1000));
+    TRACKING_TOPICS.iter().for_each(|(topic, _, reader)| ended.expect_all(topic, reader, 500));
     let mut lines = playground.json_lines("tracks.jsonl");
     for line in &mut lines {
         let latency = line.as_object_mut().unwrap().remove("latency_ms").unwrap();
@@ -114,7 +114,7 @@ fn lossless_run() -> Vec<Json> {
 fn lossless_delivers_each_frame_once_in_order_and_the_same_bits_each_time() {
     let first = lossless_run();
     let sequences: Vec<_> = first.iter().map(|line| line["sequence"].as_u64().unwrap()).collect();
-    assert!(sequences.into_iter().eq(0..1000));
+    assert!(sequences.into_iter().eq(0..500));
     assert!(first.iter().any(|line| line["tracks"][0]["id"].is_u64()), "nothing was tracked");
     let text = |lines: &[Json]| lines.iter().map(Json::to_string).collect::<Vec<_>>();
     assert_eq!(text(&first), text(&lossless_run()));

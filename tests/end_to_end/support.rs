@@ -225,6 +225,11 @@ impl Playground {
         whole.lines().map(str::to_owned).collect()
     }
 
+    /// How many these are, which takes less time than to copy each of them.
+    pub fn count(&self, name: &str) -> usize {
+        fs::read_to_string(self.path(name)).unwrap_or_default().matches('\n').count()
+    }
+
     /// The complete lines of a file of JSON objects.
     pub fn json_lines(&self, name: &str) -> Vec<Json> {
         self.lines(name).iter().map(|line| serde_json::from_str(line).unwrap()).collect()
@@ -232,7 +237,15 @@ impl Playground {
 
     /// The sequence numbers in a file of JSON objects.
     pub fn sequences(&self, name: &str) -> Vec<u64> {
-        self.json_lines(name).iter().map(|line| line["sequence"].as_u64().unwrap()).collect()
+        self.sequences_from(name, 0)
+    }
+
+    /// The same from a line on: who looks after each of many steps does not read what was before again.
+    pub fn sequences_from(&self, name: &str, first: usize) -> Vec<u64> {
+        let lines = self.lines(name);
+        let numbers =
+            lines[first..].iter().map(|line| serde_json::from_str::<Json>(line).unwrap()["sequence"].as_u64());
+        numbers.map(Option::unwrap).collect()
     }
 
     /// The sequence number in the last complete line of such a file, 0 where there is none. It reads no more than the
@@ -310,7 +323,8 @@ impl Drop for Playground {
             std::thread::sleep(CHECK_PERIOD);
         }
         if self.runtime().join("shm").is_dir() {
-            self.command(&["doctor", "--clean"]).output().ok();
+            // Not in the folder of the test's files, whose pipeline it would look at as well.
+            self.command(&["doctor", "--clean"]).current_dir(self.runtime()).output().ok();
         }
     }
 }

@@ -67,9 +67,9 @@ fn a_live_pipeline_misses_three_frames_at_most() {
     let (playground, mut run) = at_work(&TRACKING.replace("lossless", "latest"), 30);
     for stage in ["extractor", "assembler", "tracker"] {
         expect_a_quick_swap(stage, || {
-            let before = playground.lines("tracks.jsonl").len();
+            let before = playground.count("tracks.jsonl");
             swap(&playground, &mut run, &[stage]);
-            longest_gap(&playground.sequences("tracks.jsonl")[before - 1..])
+            longest_gap(&playground.sequences_from("tracks.jsonl", before - 1))
         });
     }
     run.end();
@@ -167,9 +167,9 @@ fn a_hundred_swaps_of_a_live_run_cost_no_memory_and_three_frames_each_at_most() 
     let neighbours = || ["source", "json"].map(|name| usage(stages[name]).private_kb);
     let (first, before, mut all, mut missed) = (used(&stages), neighbours(), BTreeSet::new(), Vec::new());
     for stage in ["extractor", "assembler", "tracker", "assembler"].repeat(25) {
-        let lines = playground.lines("tracks.jsonl").len();
+        let lines = playground.count("tracks.jsonl");
         swap(&playground, &mut run, &[stage]);
-        missed.push(longest_gap(&playground.sequences("tracks.jsonl")[lines - 1..]));
+        missed.push(longest_gap(&playground.sequences_from("tracks.jsonl", lines - 1)));
         all.extend(used(&stages_of(run.id())));
     }
     assert!(all.len() > first.len() + 100, "only {} files were used, which shows little", all.len());

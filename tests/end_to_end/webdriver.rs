@@ -10,6 +10,7 @@ use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::process::{ChildStdout, Command, Stdio};
+use std::time::Duration;
 use tempfile::TempDir;
 
 /// Without a graphics card, and without a word to the network.
@@ -26,11 +27,19 @@ const CHROMIUM: [&str; 10] = [
     "--disable-sync",
 ];
 const FIREFOX: [&str; 3] = ["--marionette", "--remote-allow-system-access", "--no-remote"];
+/// At a port of its own, and without processes for pages that may come to be looked at.
+const FIREFOX_SETTINGS: &str = "user_pref('marionette.port', 0);
+user_pref('fission.autostart', false);
+user_pref('dom.ipc.processCount', 1);
+user_pref('dom.ipc.processPrelaunch.enabled', false);
+";
 /// What the page itself told Firefox's console as an error.
 const FAULTS_IN_FIREFOX: &str = "return Services.console.getMessageArray()
     .filter(told => told instanceof Ci.nsIScriptError && told.sourceName.startsWith('http://127.0.0.1')
         && !(told.flags & Ci.nsIScriptError.warningFlag))
     .map(String)";
+
+const WAIT_PERIOD: Duration = Duration::from_millis(180);
 
 type Piped = (Started, BufReader<ChildStdout>);
 
@@ -110,7 +119,7 @@ impl Browser {
         let mut number = String::new();
         assert!(output.read_line(&mut number).unwrap() > 0, "{}", display.stderr());
         let profile = TempDir::new().unwrap();
-        fs::write(profile.path().join("user.js"), "user_pref(\"marionette.port\", 0);\n").unwrap();
+        fs::write(profile.path().join("user.js"), FIREFOX_SETTINGS).unwrap();
         command.args(FIREFOX).arg("--profile").arg(profile.path());
         command.env("DISPLAY", format!(":{}", number.trim())).env("HOME", profile.path());
         let mut browser = Started::new(command);
@@ -157,8 +166,16 @@ impl Browser {
         self.tell("/execute/sync", "WebDriver:ExecuteScript", &script)
     }
 
+    /// Asks five times a second and not more: each question takes from the browser what it is to draw with.
     pub fn wait(&self, what: &str, condition: &str) {
-        wait_until(&format!("in {}: {what}", self.name), || self.value(condition) == true);
+        let holds = || {
+            let holds = self.value(condition) == true;
+            if !holds {
+                std::thread::sleep(WAIT_PERIOD);
+            }
+            holds
+        };
+        wait_until(&format!("in {}: {what}", self.name), holds);
     }
 
     pub fn click(&self, selector: &str) {

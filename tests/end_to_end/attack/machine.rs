@@ -61,7 +61,7 @@ impl Machine {
         let text = TRACKING.replace("\"tracking\"", "\"neighbor\"").replace(RESULTS, NEIGHBOR_RESULTS);
         self.playground.write("neighbor.toml", &text);
         let mut run = self.playground.start(&["run", "neighbor.toml", "--set", "source.rate_hz=50"]);
-        run.wait_until("the neighbor delivers", || self.playground.lines(NEIGHBOR_RESULTS).len() > 3);
+        run.wait_until("the neighbor delivers", || self.playground.count(NEIGHBOR_RESULTS) > 3);
         self.neighbor = Some(run);
     }
 
@@ -91,7 +91,7 @@ impl Machine {
 
     /// How many lines these files have so far.
     pub fn lines(&self) -> u64 {
-        self.results().map(|file| self.playground.lines(&file).len() as u64).sum()
+        self.results().map(|file| self.playground.count(&file) as u64).sum()
     }
 
     /// Does what is due.
