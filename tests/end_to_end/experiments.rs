@@ -336,7 +336,7 @@ fn a_recording_that_is_too_short_for_the_noise_is_told_once() {
     let ended = playground.conicflow(&["run", "noise.toml", "--set", "source.path=frames"]).expect_code(1);
     ended.expect_told(&[
         "the recording has 3 frames, but a static scene needs",
-        "stage `estimator` could not end its work",
+        "stage `estimator` failed at the end of its work",
     ]);
     assert!(!ended.stderr.contains("anew"), "{}", ended.stderr);
 }
