@@ -142,7 +142,7 @@ def test_what_cannot_be_is_refused_with_what_there_is(playground, monkeypatch):
     plugged.plug("large")
     _, told = playground.run("run", code=1)
     assert "has no depth images of 640x480" in told and "hint: it has 320x240 at 30 Hz" in told
-    assert "stage `camera` could not be made ready" in told and "SystemExit" not in told
+    assert "stage `camera` could not start" in told and "SystemExit" not in told
     (playground.folder / "run.bag").write_text("junk")
     pipeline(playground, 'path = "run.bag"')
     _, told = playground.run("run", code=1)

@@ -184,7 +184,7 @@ with conicflow.stage() as stage:
     )
     pipeline(playground, stage(program) + sink("passed", "passed", "objects"))
     _, told = playground.run("run", "--frames", 40, code=1)
-    assert "KeyError: 'path'" in told and "stage `python` could not be made ready" in told
+    assert "KeyError: 'path'" in told and "stage `python` could not start" in told
 
 
 @pytest.mark.parametrize(

@@ -98,7 +98,7 @@ fn what_does_not_validate_or_cannot_start_leaves_the_stage_at_work() {
     let refused = [
         (vec!["tracker", "--set", "gatte=3"], "gatte"),
         (vec!["tracker", "--node", "row_ellipse_extractor"], "carries objects"),
-        (vec!["json", "--set", "path=pipeline.toml/x.jsonl"], "could not be made ready"),
+        (vec!["json", "--set", "path=pipeline.toml/x.jsonl"], "could not start"),
         (vec!["json", "--set", "input=objects"], "cannot join stage `json` to other topics"),
         (vec!["trackr"], "did you mean `tracker`"),
     ];

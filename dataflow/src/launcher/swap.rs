@@ -247,7 +247,7 @@ fn look_at(
             "the new stage is not ready: no message reached it\n  hint: try again when its writers send something",
         );
     }
-    successor.is_ready().map_err(|()| "the new stage could not be made ready\n  hint: the launcher's log says why")
+    successor.is_ready().map_err(|()| "the new stage could not start\n  hint: the launcher's log says why")
 }
 
 fn take_place(successor: Successor, stage: &mut Supervised, request: &Request, run: &mut RunState<'_>) -> Step {
@@ -414,7 +414,7 @@ mod tests {
         for (phase, kill_stage, kill_successor, why) in [
             (ending, false, false, "the run ends"),
             (Phase::Running, true, false, "the stage died meanwhile"),
-            (Phase::Running, false, true, "could not be made ready"),
+            (Phase::Running, false, true, "could not start"),
         ] {
             let (mut stage, mut run, request) = to_replace();
             let mut successor = successor();
