@@ -198,7 +198,7 @@ def test_a_place_that_is_not_there_ends_the_run(playground, text, told):
     program = playground.script("wrong.py", f"import conicflow\n{text}\n")
     pipeline(playground, stage(program, output=None))
     _, error = playground.run("run", "--frames", 40, code=1)
-    assert told in error and "could not be made ready" in error
+    assert told in error and "could not start" in error
 
 
 def test_a_stage_is_replaced_without_the_loss_of_a_frame(playground):
