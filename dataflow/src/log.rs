@@ -43,7 +43,8 @@ fn parts(filter: &str) -> impl Iterator<Item = Result<(&str, LevelFilter), Strin
 
 /// Makes this process log what the filter lets through, unless it has a logger already.
 pub fn log_to_standard_error(filter: &str) {
-    log_beside(filter, Identity::new());
+    // A layer without a filter of its own would let all levels pass, also for `tracing::enabled`.
+    log_beside(filter, Identity::new().with_filter(LevelFilter::OFF));
 }
 
 /// Logs as [`log_to_standard_error`] does, and adds a layer with a filter of its own.

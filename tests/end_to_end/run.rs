@@ -401,6 +401,18 @@ fn the_level_of_the_log_is_that_of_the_stages_as_well() {
 }
 
 #[test]
+fn a_run_that_finds_objects_lists_its_reasons_with_the_level_debug_alone() {
+    let playground = Playground::with_pipeline(TRACKING);
+    let reasons = |level: &str| {
+        let ended = playground.conicflow(&["run", "--frames", "10", "--log", level]).expect_code(0);
+        assert!(ended.stderr.contains("assembler found in 10 frames: "), "{}", ended.stderr);
+        ended.stderr.lines().filter(|line| line.starts_with("  extractor: ")).count()
+    };
+    assert_eq!(["error", "info"].map(reasons), [0, 0]);
+    assert!(reasons("debug") > 0);
+}
+
+#[test]
 fn a_log_has_the_time_of_each_line_where_that_is_wanted() {
     let playground = recording(8..10);
     for (said, is_timed) in [("1", true), ("", false)] {
