@@ -2,7 +2,6 @@
 
 use conicflow_messages::Hinted;
 use std::cell::RefCell;
-use std::error::Error;
 use std::ffi::{CString, c_char};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -26,13 +25,6 @@ pub(crate) fn catch<T>(work: impl FnOnce() -> Result<T, Hinted>) -> Option<T> {
     let text = fault.to_string().replace('\0', "?");
     LAST.set(CString::new(text).unwrap_or_default());
     None
-}
-
-/// Converts an error of the detector, which contains its hint.
-pub(crate) fn told(error: &dyn Error) -> Hinted {
-    let text = error.to_string();
-    let (what, hint) = text.split_once("\n  hint: ").unwrap_or((&text, "conicflow.h says what is wanted"));
-    Hinted::new(what, hint)
 }
 
 /// Returns the last error of this thread.

@@ -56,7 +56,7 @@ fn create(camera: Camera, depth_scale: f64, noise: Option<&CStr>) -> Result<CDet
     let noise = noise.map_or(Ok(NoiseName::KinectV1), |name| name.to_string_lossy().parse::<NoiseName>());
     let noise = noise.map_err(|error| Hinted::new(format!("`noise`: {error}"), "NULL is \"kinect_v1\""))?;
     let detector = Detector::new(camera).noise(noise.model()).depth_scale(depth_scale);
-    detector.check().map_err(|error| fault::told(&error))?;
+    detector.check().map_err(|error| error.hinted())?;
     Ok(CDetector { detector, camera, objects: Vec::new(), units: Vec::new(), metres: Vec::new() })
 }
 
@@ -76,7 +76,7 @@ pub unsafe extern "C" fn conicflow_detect(
     unsafe {
         answer(detector, objects, |CDetector { detector, camera, units, .. }| {
             let pixels = Image { first: depth, row_bytes }.pixels(camera, units)?;
-            detector.try_detect(pixels).map_err(|error| fault::told(&error))
+            detector.try_detect(pixels).map_err(|error| error.hinted())
         })
     }
 }
@@ -96,7 +96,7 @@ pub unsafe extern "C" fn conicflow_detect_metres(
     unsafe {
         answer(detector, objects, |CDetector { detector, camera, metres, .. }| {
             let pixels = Image { first: depth, row_bytes }.pixels(camera, metres)?;
-            detector.try_detect_f32(pixels).map_err(|error| fault::told(&error))
+            detector.try_detect_f32(pixels).map_err(|error| error.hinted())
         })
     }
 }

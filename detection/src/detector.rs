@@ -4,7 +4,9 @@ use crate::assemble::odds::Evidence;
 use crate::assemble::{Assembler, AssemblerParameters};
 use crate::extract::{Extractor, ExtractorParameters};
 use crate::method;
-use conicflow_messages::{Camera, Header, Item, NoiseModel, Object, finest_scale, is_too_far, quantise};
+use conicflow_messages::{Camera, Header, Hinted, Item, NoiseModel, Object, finest_scale, is_too_far, quantise};
+use std::error::Error;
+use std::fmt::{self, Display, Formatter};
 
 /// Finds spheres, cylinders and cones in the depth images of one camera, one after another.
 ///
@@ -28,13 +30,9 @@ pub struct Detector {
 }
 
 /// Reason why an image cannot be processed.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum DetectError {
     /// The image and the camera differ in their number of pixels.
-    #[error(
-        "the depth image has {actual} pixels, but the camera has {width}x{height}\n  hint: give it row by row and in whole, \
-         without padding, and check the camera's width and height"
-    )]
     Size {
         /// Pixels of the image.
         actual: usize,
@@ -44,12 +42,32 @@ pub enum DetectError {
         height: u32,
     },
     /// The header has numbers that no camera can have.
-    #[error(
-        "the image, the camera, the depth scale or the noise cannot be used: {0}\n  hint: focal lengths are in pixels, the \
-         depth scale is in metres per unit (0.001 for millimetres)"
-    )]
     Camera(String),
 }
+
+impl DetectError {
+    /// Returns what is wrong and what to do about it.
+    pub fn hinted(&self) -> Hinted {
+        match self {
+            Self::Size { actual, width, height } => Hinted::new(
+                format!("the depth image has {actual} pixels, but the camera has {width}x{height}"),
+                "give it row by row and in whole, without padding, and check the camera's width and height",
+            ),
+            Self::Camera(reason) => Hinted::new(
+                format!("the image, the camera, the depth scale or the noise cannot be used: {reason}"),
+                "focal lengths are in pixels, the depth scale is in metres per unit (0.001 for millimetres)",
+            ),
+        }
+    }
+}
+
+impl Display for DetectError {
+    fn fmt(&self, formatter: &mut Formatter<'_>) -> fmt::Result {
+        self.hinted().fmt(formatter)
+    }
+}
+
+impl Error for DetectError {}
 
 impl Detector {
     /// Creates a detector for images of this camera in millimetres, with the noise of a Kinect v1.

@@ -46,7 +46,7 @@ impl CameraInfo {
         reader.text()?;
         let coefficients = reader.u32()?;
         if coefficients > Self::MOST_COEFFICIENTS {
-            return Err(Undecodable(format!("a distortion of {coefficients} coefficients")));
+            return Err(Undecodable::new(format!("a distortion of {coefficients} coefficients")));
         }
         let distortion = (0..coefficients).map(|_| reader.f64()).collect::<Result<_, _>>()?;
         let (k, _, p) = (reader.f64s()?, reader.f64s::<9>()?, reader.f64s()?);
@@ -196,6 +196,9 @@ mod tests {
         assert!(CameraInfo::read(&message[..message.len() - 10]).is_err());
         let mut writer = Writer::new(Vec::new());
         writer.stamped(Stamped::default()).u32(1).u32(1).text("").u32(u32::MAX);
-        assert_eq!(CameraInfo::read(&writer.finish()).unwrap_err().0, "a distortion of 4294967295 coefficients");
+        assert_eq!(
+            CameraInfo::read(&writer.finish()).unwrap_err().to_string(),
+            "a distortion of 4294967295 coefficients"
+        );
     }
 }

@@ -7,15 +7,25 @@
 const HEADER_BYTES: usize = 4;
 const NANOSECONDS: u64 = 1_000_000_000;
 
-/// Why bytes are no message of the expected type, or one that cannot be used.
+/// Reason why bytes are no message of the expected type, or one that cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0}")]
-pub struct Undecodable(pub String);
+#[error("{what}{}", .hint.as_ref().map(|hint| format!("\n  hint: {hint}")).unwrap_or_default())]
+pub struct Undecodable {
+    /// What is wrong.
+    pub what: String,
+    /// What to do about it, where that is known.
+    pub hint: Option<String>,
+}
 
 impl Undecodable {
+    /// A fault without a hint.
+    pub(crate) fn new(what: impl Into<String>) -> Self {
+        Self { what: what.into(), hint: None }
+    }
+
     /// A fault with a hint.
-    pub(crate) fn hinted(what: &str, hint: &str) -> Self {
-        Self(format!("{what}\n  hint: {hint}"))
+    pub(crate) fn hinted(what: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self { hint: Some(hint.into()), ..Self::new(what) }
     }
 }
 
@@ -46,12 +56,12 @@ impl<'a> Reader<'a> {
             [0, 0, _, _, ..] => true,
             [0, 1, _, _, ..] => false,
             [kind @ .., _, _] if kind.len() >= 2 => {
-                return Err(Undecodable(format!(
+                return Err(Undecodable::new(format!(
                     "encapsulation {:#04x} {:#04x}, expected plain CDR (0x00 0x00 or 0x00 0x01)",
                     kind[0], kind[1]
                 )));
             }
-            _ => return Err(Undecodable(format!("{} bytes, which is no message", message.len()))),
+            _ => return Err(Undecodable::new(format!("{} bytes, which is no message", message.len()))),
         };
         Ok(Self { bytes: &message[HEADER_BYTES..], at: 0, is_big_endian })
     }
@@ -70,7 +80,7 @@ impl<'a> Reader<'a> {
     fn take(&mut self, length: usize) -> Result<&'a [u8], Undecodable> {
         let end = self.at.checked_add(length).filter(|end| *end <= self.bytes.len());
         let Some(end) = end else {
-            return Err(Undecodable(format!(
+            return Err(Undecodable::new(format!(
                 "the message ends after {} bytes, expected {length} more from byte {}",
                 self.bytes.len() + HEADER_BYTES,
                 self.at + HEADER_BYTES
@@ -139,7 +149,7 @@ impl<'a> Reader<'a> {
     pub fn text(&mut self) -> Result<&'a str, Undecodable> {
         let bytes = self.bytes()?;
         let text = bytes.strip_suffix(&[0]).unwrap_or(bytes);
-        std::str::from_utf8(text).map_err(|_| Undecodable("a text that is not UTF-8".to_owned()))
+        std::str::from_utf8(text).map_err(|_| Undecodable::new("a text that is not UTF-8".to_owned()))
     }
 
     /// Reads a time, in nanoseconds.
@@ -149,7 +159,7 @@ impl<'a> Reader<'a> {
     pub fn stamp_ns(&mut self) -> Result<u64, Undecodable> {
         let (seconds, nanoseconds) = (self.i32()?, self.u32()?);
         let seconds = u64::try_from(seconds);
-        let seconds = seconds.map_err(|_| Undecodable("a time stamp before the year 1970".to_owned()))?;
+        let seconds = seconds.map_err(|_| Undecodable::new("a time stamp before the year 1970".to_owned()))?;
         Ok(seconds * NANOSECONDS + u64::from(nanoseconds))
     }
 
@@ -283,7 +293,7 @@ mod tests {
     #[test]
     fn lengths_that_cannot_be_are_refused() {
         let told = |message: &[u8]| {
-            Reader::new(message).and_then(|mut reader| reader.text().map(str::to_owned)).unwrap_err().0
+            Reader::new(message).and_then(|mut reader| reader.text().map(str::to_owned)).unwrap_err().to_string()
         };
         assert_eq!(told(&[0, 1]), "2 bytes, which is no message");
         assert_eq!(told(&[0, 7, 0, 0, 1]), "encapsulation 0x00 0x07, expected plain CDR (0x00 0x00 or 0x00 0x01)");

@@ -56,7 +56,7 @@ impl<'a> CompressedImage<'a> {
                  `compressedDepth rvl`",
                 self.format
             );
-            Undecodable::hinted(&what, "name the topic of a depth image")
+            Undecodable::hinted(what, "name the topic of a depth image")
         })
     }
 
@@ -67,7 +67,7 @@ impl<'a> CompressedImage<'a> {
     pub fn depths(&self) -> Result<((u32, u32), Depths), Undecodable> {
         let (encoding, code) = self.encoding()?;
         let Some((&[_, _, _, _, a0, a1, a2, a3, b0, b1, b2, b3], image)) = self.data.split_first_chunk::<12>() else {
-            return Err(Undecodable(format!("{} bytes, expected a header of 12 and an image", self.data.len())));
+            return Err(Undecodable::new(format!("{} bytes, expected a header of 12 and an image", self.data.len())));
         };
         let (a, b) = (f32::from_le_bytes([a0, a1, a2, a3]), f32::from_le_bytes([b0, b1, b2, b3]));
         let (size, units) = match code {
@@ -84,13 +84,13 @@ impl<'a> CompressedImage<'a> {
 }
 
 fn png(file: &[u8]) -> Result<((u32, u32), Vec<u16>), Undecodable> {
-    let fault = |error: png::DecodingError| Undecodable(format!("the PNG in it: {error}"));
+    let fault = |error: png::DecodingError| Undecodable::new(format!("the PNG in it: {error}"));
     let mut decoder = Decoder::new_with_limits(Cursor::new(file), Limits { bytes: PNG_MEMORY_BYTES });
     decoder.set_ignore_text_chunk(true);
     let info = decoder.read_header_info().map_err(fault)?;
     let (size, bits, color) = (info.size(), info.bit_depth, info.color_type);
     if (bits, color) != (BitDepth::Sixteen, ColorType::Grayscale) {
-        return Err(Undecodable(format!("a PNG of {bits:?} bits {color:?} in it, expected 16 bits grey")));
+        return Err(Undecodable::new(format!("a PNG of {bits:?} bits {color:?} in it, expected 16 bits grey")));
     }
     check_size(size.0, size.1)?;
     let mut reader = decoder.read_info().map_err(fault)?;
@@ -101,7 +101,7 @@ fn png(file: &[u8]) -> Result<((u32, u32), Vec<u16>), Undecodable> {
 
 fn rvl_image(image: &[u8]) -> Result<((u32, u32), Vec<u16>), Undecodable> {
     let Some((&[w0, w1, w2, w3, h0, h1, h2, h3], code)) = image.split_first_chunk::<8>() else {
-        return Err(Undecodable(format!("{} bytes of RVL, expected the size and an image", image.len())));
+        return Err(Undecodable::new(format!("{} bytes of RVL, expected the size and an image", image.len())));
     };
     let size = (u32::from_le_bytes([w0, w1, w2, w3]), u32::from_le_bytes([h0, h1, h2, h3]));
     check_size(size.0, size.1)?;
@@ -171,7 +171,7 @@ mod tests {
 
     #[test]
     fn what_is_none_is_refused() {
-        let told = |format: &str, image: &[u8]| depths(&message(format, [0.0; 2], image)).unwrap_err().0;
+        let told = |format: &str, image: &[u8]| depths(&message(format, [0.0; 2], image)).unwrap_err().to_string();
         assert!(told("jpeg", &grey()).starts_with("the format is `jpeg`, expected `16UC1` or `32FC1`"));
         assert!(told("16UC1; compressedDepth zip", &grey()).starts_with("the format is `16UC1; compressedDepth zip`"));
         assert!(told("16UC1; compressedDepth", &grey()[..50]).starts_with("the PNG in it: "));

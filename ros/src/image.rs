@@ -120,12 +120,12 @@ impl<'a> Image<'a> {
     pub fn depths(&self) -> Result<Depths, Undecodable> {
         let Some(encoding) = Encoding::of(self.encoding) else {
             let what = format!("pixels are `{}`, expected `16UC1`, `32FC1` or `mono16`", self.encoding);
-            return Err(Undecodable::hinted(&what, "name the topic of a depth image"));
+            return Err(Undecodable::hinted(what, "name the topic of a depth image"));
         };
         let (row, step) = (self.width as usize * encoding.bytes(), self.step as usize);
         // The padding of the last row may be missing.
         if step < row || self.data.len() < step * (self.height as usize - 1) + row {
-            return Err(Undecodable(format!(
+            return Err(Undecodable::new(format!(
                 "{} bytes of pixels in rows of {step}, expected {}x{} pixels of {} bytes",
                 self.data.len(),
                 self.width,
@@ -150,7 +150,7 @@ pub(crate) fn check_size(width: u32, height: u32) -> Result<(), Undecodable> {
     if side(width) && side(height) && u64::from(width) * u64::from(height) <= MAX_PIXELS {
         return Ok(());
     }
-    Err(Undecodable(format!(
+    Err(Undecodable::new(format!(
         "an image of {width}x{height} pixels, expected 1 to {MAX_SIDE_PX} a side and {MAX_PIXELS} at most"
     )))
 }
@@ -264,7 +264,7 @@ mod tests {
 
     #[test]
     fn what_is_no_depth_image_is_refused() {
-        let told = |message: &[u8]| depths(message).unwrap_err().0;
+        let told = |message: &[u8]| depths(message).unwrap_err().to_string();
         assert!(told(&message("rgb8", false, 9, &[0; 18])).starts_with("pixels are `rgb8`, expected `16UC1`"));
         let short = "13 bytes of pixels in rows of 8, expected 3x2 pixels of 2 bytes";
         assert_eq!(told(&message("16UC1", false, 8, &[0; 13])), short);

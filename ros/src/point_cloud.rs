@@ -52,7 +52,7 @@ impl<'a> PointCloud<'a> {
             && row_step >= row
             && data.len() >= row_step * (height as usize - 1) + row;
         if !is_whole {
-            return Err(Undecodable(format!(
+            return Err(Undecodable::new(format!(
                 "{} bytes of points of {point_step} in rows of {row_step}, expected {width}x{height} points",
                 data.len()
             )));
@@ -97,7 +97,7 @@ impl<'a> PointCloud<'a> {
 fn offsets(reader: &mut Reader<'_>) -> Result<[usize; 3], Undecodable> {
     let fields = reader.u32()?;
     if fields > MOST_FIELDS {
-        return Err(Undecodable(format!("points of {fields} fields")));
+        return Err(Undecodable::new(format!("points of {fields} fields")));
     }
     let mut offsets = [None; 3];
     for _ in 0..fields {
@@ -108,7 +108,7 @@ fn offsets(reader: &mut Reader<'_>) -> Result<[usize; 3], Undecodable> {
     }
     match offsets {
         [Some(x), Some(y), Some(z)] => Ok([x, y, z]),
-        _ => Err(Undecodable("the points have no x, y and z in single precision".to_owned())),
+        _ => Err(Undecodable::new("the points have no x, y and z in single precision".to_owned())),
     }
 }
 
@@ -153,7 +153,7 @@ mod tests {
 
     #[test]
     fn what_is_no_organised_cloud_is_refused() {
-        let told = |message: &[u8]| PointCloud::read(message).unwrap_err().0;
+        let told = |message: &[u8]| PointCloud::read(message).unwrap_err().to_string();
         let good = message(2, f32::to_le_bytes, false, FLOAT32);
         assert!(told(&message(1, f32::to_le_bytes, false, FLOAT32)).starts_with("the points are in no rows"));
         assert!(told(&message(2, f32::to_le_bytes, false, 8)).contains("no x, y and z"));

@@ -40,7 +40,7 @@ impl Groups<'_> {
 /// # Errors
 /// The code is too short, or has more pixels.
 pub(crate) fn decode(code: &[u8], pixels: usize) -> Result<Vec<u16>, Undecodable> {
-    let fault = |decoded: usize| Undecodable(format!("the RVL code is broken after {decoded} of {pixels} pixels"));
+    let fault = |decoded: usize| Undecodable::new(format!("the RVL code is broken after {decoded} of {pixels} pixels"));
     let mut groups = Groups { words: code.chunks(4), word: 0, left: 0 };
     let (mut image, mut previous) = (Vec::with_capacity(pixels), 0_u16);
     while image.len() < pixels {
@@ -118,7 +118,7 @@ pub(crate) mod tests {
         let code = encode(&[1, 65535, 1, 0, 0, 40000]);
         assert!(decode(&code[..4], 6).is_err());
         assert!(decode(&code, 5).is_err(), "more pixels than the image has");
-        assert_eq!(decode(&[0; 64], 6).unwrap_err().0, "the RVL code is broken after 0 of 6 pixels");
+        assert_eq!(decode(&[0; 64], 6).unwrap_err().to_string(), "the RVL code is broken after 0 of 6 pixels");
         assert!(decode(&[0xff; 64], 6).is_err(), "a number without end");
     }
 }

@@ -43,7 +43,7 @@ impl Transforms {
         let mut reader = Reader::new(message)?;
         let count = reader.u32()?;
         if count > MOST_TRANSFORMS {
-            return Err(Undecodable(format!("{count} transforms in a message")));
+            return Err(Undecodable::new(format!("{count} transforms in a message")));
         }
         for _ in 0..count {
             let Stamped { stamp_ns, frame_id } = reader.stamped()?;
@@ -53,11 +53,11 @@ impl Transforms {
             if !([x, y, z].iter().all(|number| number.is_finite())
                 && (rotation.norm_squared() - 1.0).abs() < UNIT_TOLERANCE)
             {
-                return Err(Undecodable(format!("the transform of `{child}` in `{frame_id}` is none")));
+                return Err(Undecodable::new(format!("the transform of `{child}` in `{frame_id}` is none")));
             }
             let pose = Isometry3::from_parts(Translation3::new(x, y, z), UnitQuaternion::new_normalize(rotation));
             if self.frames.len() >= MOST_FRAMES && !self.frames.contains_key(&name(child)) {
-                return Err(Undecodable(format!("`{child}` is more than {MOST_FRAMES} frames of coordinates")));
+                return Err(Undecodable::new(format!("`{child}` is more than {MOST_FRAMES} frames of coordinates")));
             }
             self.insert(child, frame_id, (stamp_ns, pose), is_fixed);
         }
@@ -219,7 +219,7 @@ mod tests {
             let message = write_transform(Stamped::default(), &number.to_string(), &NONE, Vec::new());
             transforms.add(&message, false)
         });
-        assert!(many.last().unwrap().unwrap_err().0.contains("more than 65536 frames"));
+        assert!(many.last().unwrap().unwrap_err().what.contains("more than 65536 frames"));
     }
 
     #[test]
@@ -227,9 +227,9 @@ mod tests {
         let mut message = write_transform(Stamped { stamp_ns: 0, frame_id: "map" }, "base", &NONE, Vec::new());
         let length = message.len();
         message[length - 8..].copy_from_slice(&2.0_f64.to_le_bytes());
-        let told = Transforms::default().add(&message, false).unwrap_err().0;
+        let told = Transforms::default().add(&message, false).unwrap_err().to_string();
         assert_eq!(told, "the transform of `base` in `map` is none");
         let many = Writer::new(Vec::new()).u32(1 << 20).clone().finish();
-        assert_eq!(Transforms::default().add(&many, false).unwrap_err().0, "1048576 transforms in a message");
+        assert_eq!(Transforms::default().add(&many, false).unwrap_err().to_string(), "1048576 transforms in a message");
     }
 }

@@ -23,6 +23,6 @@ impl Notices {
 /// Returns the fault of an unreadable message.
 pub(crate) fn unreadable(sort: &'static str, topic: &str, error: &Undecodable) -> Fault {
     let usual = "do both sides mean the same type? `ros2 topic info --verbose` tells that of the other";
-    let (what, hint) = error.0.split_once("\n  hint: ").unwrap_or((&error.0, usual));
-    (sort, Hinted::new(format!("passed over a message of `{topic}`: {what}"), hint))
+    let hint = error.hint.as_deref().unwrap_or(usual);
+    (sort, Hinted::new(format!("passed over a message of `{topic}`: {}", error.what), hint))
 }
