@@ -1,7 +1,7 @@
 //! Reports why a TLS link fails. Zenoh only logs the failure and retries for ever. This layer reads Zenoh's log and reports each
 //! failed handshake once, saying which side has refused which, and why.
 
-use crate::told_once::LoggedOnce;
+use crate::logged_once::LoggedOnce;
 use conicflow_dataflow::lock;
 use std::fmt::{Debug, Write as _};
 use std::sync::Mutex;

@@ -22,6 +22,7 @@ mod channel;
 mod edge_tests;
 mod error;
 mod handshakes;
+mod logged_once;
 #[cfg(test)]
 mod loopback;
 mod peer;
@@ -32,7 +33,6 @@ mod ros2;
 mod sending;
 mod session;
 mod settings;
-mod told_once;
 mod wire;
 
 pub use handshakes::ear;

@@ -135,7 +135,7 @@ impl<'a> Receiving<'a> {
                     self.ended.extend(self.edge.writers.iter().cloned());
                 }
             }
-            self.choose_way()?;
+            self.choose_path()?;
             let Some(bytes) = self.channel.receive(IDLE_CHECK_PERIOD) else {
                 self.output_port.catch_up();
                 self.acknowledge();
@@ -193,7 +193,7 @@ impl<'a> Receiving<'a> {
     }
 
     /// Subscribes to the stream where datagrams are too rare, and logs each path once.
-    fn choose_way(&mut self) -> Result<(), BridgeError> {
+    fn choose_path(&mut self) -> Result<(), BridgeError> {
         if let Some(way) = self.subscriber.choose()?.filter(|way| self.told.insert(way)) {
             let (topic, from) = (&self.edge.topic.name, &self.edge.from);
             tracing::info!("topic `{topic}` of machine `{from}` comes by {way}");

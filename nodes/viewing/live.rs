@@ -48,12 +48,12 @@ impl Live {
         Ok(live)
     }
 
-    /// Shows running pipelines until `told` is set.
+    /// Shows running pipelines until `stop` is set.
     ///
     /// # Errors
     /// The search for running pipelines fails.
-    pub fn show(&self, told: &AtomicBool) -> Result<()> {
-        while !told.load(Ordering::Relaxed) {
+    pub fn show(&self, stop: &AtomicBool) -> Result<()> {
+        while !stop.load(Ordering::Relaxed) {
             let wanted = lock(&self.wanted).clone();
             let running = look_for_pipelines(&self.display)?;
             let chosen = match &wanted.pipeline {

@@ -167,9 +167,9 @@ impl Player {
         Ok(player)
     }
 
-    /// Plays until `told` is set. Where a frame cannot be read, the page shows the error and playback pauses.
-    pub fn play(&mut self, told: &AtomicBool) {
-        while !told.load(Ordering::Relaxed) {
+    /// Plays until `stop` is set. Where a frame cannot be read, the page shows the error and playback pauses.
+    pub fn play(&mut self, stop: &AtomicBool) {
+        while !stop.load(Ordering::Relaxed) {
             if let Err(error) = self.play_on() {
                 self.stop_at(&error);
             }

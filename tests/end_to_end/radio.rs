@@ -184,7 +184,7 @@ fn the_robot_does_not_feel_a_bad_radio_and_lists_stay_fresh_while_images_are_lat
     // The radio takes 100 ms, and every twentieth packet.
     pair.expect_a_good_window(
         "radio slow",
-        |robot| robot.go_on(100),
+        |robot| robot.go_on(150),
         |lists| match (lists.share() > 0.6, lists.latency(0.5) < 200.0) {
             (false, _) => Some("more lists are lost than packets, of which a busy host adds some"),
             (_, false) => Some("lists wait for what was lost, or behind images"),

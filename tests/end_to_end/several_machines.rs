@@ -32,9 +32,9 @@ fn run_on<const N: usize>(text: &str, names: [&str; N]) -> [Playground; N] {
 
 #[test]
 fn every_hop_may_cross_there_and_back() {
-    let text = finite(40);
+    let text = finite(80);
     let [expected] = alone(&text, ["tracks.jsonl"]);
-    assert_eq!(expected.len(), 40);
+    assert_eq!(expected.len(), 80);
     let places =
         [("source", "robot"), ("extractor", "base"), ("assembler", "robot"), ("tracker", "base"), ("json", "robot")];
     let endpoint = loopback();
@@ -55,7 +55,7 @@ node  = "json_sink"
 input = { topic = "found_again", delivery = "lossless" }
 path  = "ellipses.jsonl"
 "#;
-    let text = finite(40) + more;
+    let text = finite(80) + more;
     let files = ["tracks.jsonl", "ellipses.jsonl"];
     let expected = alone(&text, files);
     let places = [
@@ -78,8 +78,10 @@ path  = "ellipses.jsonl"
 
 #[test]
 fn pipelines_beside_each_other_on_the_same_machines_do_not_meet() {
-    let other = finite(30).replace("\"tracking\"", "\"other\"").replace("width", "seed = 7\nwidth");
-    let texts = [finite(40), other.replace("tracks.jsonl", "other.jsonl")];
+    // Slow enough that both are under way on both machines at the same time.
+    let paced = |frames| finite(frames).replace("rate_hz    = 0", "rate_hz    = 20");
+    let other = paced(30).replace("\"tracking\"", "\"other\"").replace("width", "seed = 7\nwidth");
+    let texts = [paced(40), other.replace("tracks.jsonl", "other.jsonl")];
     let expected = [alone(&texts[0], ["tracks.jsonl"]), alone(&texts[1], ["other.jsonl"])];
     assert_ne!(expected[0][0][..30], expected[1][0]);
     let endpoints = [loopback(), loopback()];

@@ -75,7 +75,7 @@ fn a_long_run_uses_no_more_at_its_end_than_at_its_begin() {
     let seconds = asked.unwrap_or(DEFAULT_SECONDS);
     let live = TRACKING.replace("lossless", "latest");
     let playground = Playground::with_pipeline(&live);
-    // What is kept of each frame shows in small images as well, which take a third of the processor time.
+    // A leak in each frame shows in small images as well, which take a third of the processor time.
     let (width, height) = if asked.is_some() { (640, 480) } else { (160, 120) };
     let (focal, cx, cy) = (width * 525 / 640, f64::from(width - 1) / 2.0, f64::from(height - 1) / 2.0);
     let camera = format!("source.intrinsics={{ fx = {focal}, fy = {focal}, cx = {cx:?}, cy = {cy:?} }}");

@@ -11,7 +11,7 @@
 use super::clock::{Clock, Exchange};
 use super::heartbeat::{Ack, ClockSample, Heartbeat, News, Route};
 use super::journal::{FinishedEdge, Journal};
-use crate::told_once::LoggedOnce;
+use crate::logged_once::LoggedOnce;
 use crate::wire::seal::Seal;
 use crate::wire::{WireError, decode_note, encode_note, layouts};
 use conicflow_dataflow::ports::Delivery;

@@ -249,11 +249,19 @@ mod tests {
         for claim in [0, 1, 3, 1_000_000, u32::MAX] {
             let claimed = [&good[..1], &claim.to_le_bytes(), &good[5..]].concat();
             assert!(matches!(codec.decode(&header(), &claimed), Err(WireError::Broken(_))), "{claim}");
+            assert_eq!(codec.decode(&header(), &good), Ok(()), "after {claim}");
         }
         for cut in [0, 1, 4, 5, good.len() - 1] {
             assert!(codec.decode(&header(), &good[..cut]).is_err(), "{cut}");
+            assert_eq!(codec.decode(&header(), &good), Ok(()), "after a cut at {cut}");
         }
         let unknown = [&[9], &good[1..]].concat();
         assert!(codec.decode(&header(), &unknown).is_err());
+        for place in 5..good.len() {
+            let mut damaged = good.clone();
+            damaged[place] ^= 0x55;
+            codec.decode(&header(), &damaged).ok();
+            assert_eq!(codec.decode(&header(), &good), Ok(()), "after damage at {place}");
+        }
     }
 }

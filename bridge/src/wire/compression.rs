@@ -7,8 +7,8 @@ use zstd::bulk::{Compressor, Decompressor};
 
 const ZSTD_LEVEL: i32 = 1;
 
+// Each thread keeps its contexts: creating one takes longer than compressing a short list.
 thread_local! {
-    /// What packs and unpacks is kept: to make it takes longer than a short list.
     static COMPRESSOR: RefCell<io::Result<Compressor<'static>>> = RefCell::new(Compressor::new(ZSTD_LEVEL));
     static DECOMPRESSOR: RefCell<io::Result<Decompressor<'static>>> = RefCell::new(Decompressor::new());
 }

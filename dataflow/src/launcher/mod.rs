@@ -138,7 +138,7 @@ struct Launcher<'a> {
     progress: Progress,
     started: Instant,
     /// Time for which the run was not paused, up to the last check.
-    went_on: Duration,
+    active_time: Duration,
     looked: Instant,
     /// Time of the last check of the shared memory.
     looked_after_shared: Instant,
@@ -171,7 +171,7 @@ impl<'a> Launcher<'a> {
             moved: None,
             progress: Progress::new(options.quiet),
             started: Instant::now(),
-            went_on: Duration::ZERO,
+            active_time: Duration::ZERO,
             looked: Instant::now(),
             looked_after_shared: Instant::now(),
             is_removed: false,
@@ -185,10 +185,10 @@ impl<'a> Launcher<'a> {
         while !self.stages.iter().all(Supervised::is_over) {
             self.wait_for_events();
             // Records may be missing because the folder was removed: that is checked before the stages are.
-            self.look_after_shared(services, lock);
+            self.check_shared_memory(services, lock);
             self.replace();
             self.look_at_stages();
-            self.press();
+            self.advance_phase();
             let summary = self.summary();
             self.look_for_pause(&summary);
             self.look_for_standstill(&summary);
@@ -265,9 +265,9 @@ impl<'a> Launcher<'a> {
     }
 
     /// Enters the next phase when the time of this one is over.
-    fn press(&mut self) {
+    fn advance_phase(&mut self) {
         let now = Instant::now();
-        match self.phase.due(now, self.went_on, self.options.duration, || self.delivered()) {
+        match self.phase.due(now, self.active_time, self.options.duration, || self.delivered()) {
             Due::Nothing => {}
             Due::StopSources => self.stop_sources(),
             Due::WaitForMore(delivered) => self.phase = Phase::Delivering { delivered, since: now },
@@ -278,7 +278,7 @@ impl<'a> Launcher<'a> {
 
     /// Removes files whose maker was killed before they were complete. Ends the run in order if its folder or its shared memory
     /// was removed: a restarted stage would not find the others.
-    fn look_after_shared(&mut self, services: &ServiceKeeper, lock: &RunLock) {
+    fn check_shared_memory(&mut self, services: &ServiceKeeper, lock: &RunLock) {
         if self.is_removed {
             return;
         }
@@ -318,7 +318,7 @@ impl<'a> Launcher<'a> {
         let passed = self.looked.elapsed();
         self.looked += passed;
         let (_, is_paused) = summary.pausing();
-        self.went_on += if is_paused { Duration::ZERO } else { passed };
+        self.active_time += if is_paused { Duration::ZERO } else { passed };
     }
 
     /// Logs once per stall which stages wait for which.
@@ -492,10 +492,10 @@ mod tests {
                 status.set_life(Life::Running);
                 status.set_pausing(pausing);
             });
-            let before = launcher.went_on;
+            let before = launcher.active_time;
             launcher.looked = Instant::now().checked_sub(Duration::from_secs(60)).unwrap();
             launcher.look_for_pause(&launcher.summary());
-            assert_eq!(launcher.went_on - before >= Duration::from_secs(60), pausing == Pausing::Goes);
+            assert_eq!(launcher.active_time - before >= Duration::from_secs(60), pausing == Pausing::Goes);
             assert!(launcher.looked.elapsed() < Duration::from_secs(60), "time counts once");
         }
         launcher.kill_all();
@@ -573,10 +573,10 @@ mod tests {
         let (files, limit) = (tempfile::tempdir().unwrap(), Duration::from_secs(10));
         let options = RunOptions { duration: Some(limit), ..RunOptions::default() };
         let long_ago = Instant::now().checked_sub(Duration::from_secs(60)).unwrap();
-        let pressed = |phase: Phase, went_on: Duration| {
+        let pressed = |phase: Phase, active_time: Duration| {
             let mut launcher = launcher(files.path(), &options, phase);
-            launcher.went_on = went_on;
-            launcher.press();
+            launcher.active_time = active_time;
+            launcher.advance_phase();
             let ended = (launcher.phase, launcher.stalled.take(), launcher.stages[0].is_over());
             launcher.kill_all();
             ended

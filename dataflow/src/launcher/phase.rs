@@ -38,17 +38,17 @@ pub(crate) enum Due {
 }
 
 impl Phase {
-    /// The action due at the time `now` in a run that has gone on for `went_on` of its duration `limit`; `delivered` returns the
+    /// The action due at the time `now` in a run that has gone on for `active_time` of its duration `limit`; `delivered` returns the
     /// progress of the delivery.
     pub(crate) fn due(
         self,
         now: Instant,
-        went_on: Duration,
+        active_time: Duration,
         limit: Option<Duration>,
         delivered: impl FnOnce() -> u64,
     ) -> Due {
         match self {
-            Self::Running if limit.is_some_and(|limit| went_on > limit) => Due::StopSources,
+            Self::Running if limit.is_some_and(|limit| active_time > limit) => Due::StopSources,
             Self::Delivering { delivered: before, since } => match delivered() {
                 more if more > before => Due::WaitForMore(more),
                 _ if now.duration_since(since) > DELIVERY_GRACE => Due::EndStalled,
@@ -69,8 +69,8 @@ mod tests {
     #[test]
     fn a_run_lasts_as_long_as_it_was_asked_to_and_without_an_end_where_nobody_asked() {
         let limit = Duration::from_secs(10);
-        let due = |went_on: Duration, limit: Option<Duration>| {
-            Phase::Running.due(Instant::now(), went_on, limit, || unreachable!("a run at work is not asked"))
+        let due = |active_time: Duration, limit: Option<Duration>| {
+            Phase::Running.due(Instant::now(), active_time, limit, || unreachable!("a run at work is not asked"))
         };
         assert_eq!(due(limit, Some(limit)), Due::Nothing);
         assert_eq!(due(limit + MOMENT, Some(limit)), Due::StopSources);

@@ -122,7 +122,7 @@ impl Successor {
     }
 
     /// Whether the launcher no longer wants it.
-    pub(crate) fn is_dismissed(&mut self) -> bool {
+    pub(crate) fn wait_for_dismissal(&mut self) -> bool {
         !matches!(self.launcher.read(&mut [0]), Err(error) if is_timeout(&error))
     }
 }
@@ -154,7 +154,7 @@ pub(super) mod tests {
         let (mut successor, launcher) = successor(folder.path(), "a");
         drop(launcher);
         successor.is_ready(&Watermark::default()).unwrap();
-        assert!(successor.is_dismissed());
+        assert!(successor.wait_for_dismissal());
         assert!(!successor.await_turn(|| false));
     }
 
@@ -178,7 +178,7 @@ pub(super) mod tests {
     fn a_successor_waits_until_its_turn_has_come_or_it_is_stopped() {
         let folder = tempfile::tempdir().unwrap();
         let (mut successor, launcher) = successor(folder.path(), "a");
-        assert!(!successor.is_dismissed());
+        assert!(!successor.wait_for_dismissal());
         let looks = Cell::new(0);
         let look = |last: u32| looks.replace(looks.get() + 1) == last;
         assert!(!successor.await_turn(|| look(3)), "it is stopped");
@@ -214,6 +214,6 @@ pub(super) mod tests {
         let looks = Cell::new(0);
         assert!(!successor.await_turn(|| looks.replace(looks.get() + 1) == 100));
         assert_eq!(looks.get(), 1, "there is nothing to wait for");
-        assert!(successor.is_dismissed());
+        assert!(successor.wait_for_dismissal());
     }
 }

@@ -44,7 +44,7 @@ pub struct InputPort<R: Reader> {
     /// By writer: number after the last received message.
     came: BTreeMap<Text<32>, u64>,
     /// Writers of messages that were received since the last acknowledgement.
-    unsaid: BTreeSet<Text<32>>,
+    unacknowledged: BTreeSet<Text<32>>,
     /// By writer: last acknowledged position.
     said: BTreeMap<Text<32>, u64>,
     /// Whether the writers have counted their messages from the start of this run.
@@ -70,7 +70,7 @@ impl<R: Reader> InputPort<R> {
             predecessor: Watermark::default(),
             counted: None,
             came: BTreeMap::new(),
-            unsaid: BTreeSet::new(),
+            unacknowledged: BTreeSet::new(),
             said: BTreeMap::new(),
             has_all_from_first: false,
             driven: None,
@@ -87,7 +87,7 @@ impl<R: Reader> InputPort<R> {
         }
         (&self.ended, &self.last_frame, &self.last_number, bytemuck::bytes_of(&self.counts)).hash(hasher);
         (&self.worked_on, &self.predecessor, &self.counted).hash(hasher);
-        (&self.came, &self.unsaid, &self.said).hash(hasher);
+        (&self.came, &self.unacknowledged, &self.said).hash(hasher);
     }
 
     /// Type of its items.
@@ -153,7 +153,7 @@ impl<R: Reader> InputPort<R> {
     /// Acknowledges all received messages except those that are pending here or in `kept`: a restart of this stage does not need
     /// them.
     pub(crate) fn acknowledge_but<'a>(&mut self, kept: impl Iterator<Item = &'a Header> + Clone) {
-        for writer in std::mem::take(&mut self.unsaid) {
+        for writer in std::mem::take(&mut self.unacknowledged) {
             let own = |headers: &mut dyn Iterator<Item = &Header>| {
                 headers.filter(|header| header.writer() == writer).map(|header| header.number).min()
             };
@@ -166,7 +166,7 @@ impl<R: Reader> InputPort<R> {
                 self.reader.acknowledge(writer, next);
             }
             if waits.is_some() {
-                self.unsaid.insert(writer);
+                self.unacknowledged.insert(writer);
             }
         }
     }
@@ -409,7 +409,7 @@ impl<R: Reader> InputPort<R> {
     fn note_came(&mut self, writer: Text<32>, next: u64) {
         let came = self.came.entry(writer).or_default();
         *came = next.max(*came);
-        self.unsaid.insert(writer);
+        self.unacknowledged.insert(writer);
     }
 
     /// Whether a message repeats the last one: its writer was killed after it had sent the message and before it had recorded

@@ -128,7 +128,7 @@ impl<T: Transport> SourcePlace<T> {
     }
 
     /// Waits until the message is due by its stamp; `false` if it is not to be sent any more.
-    fn is_due_to_be_sent(&mut self, stamp_ns: Option<u64>) -> bool {
+    fn wait_to_send(&mut self, stamp_ns: Option<u64>) -> bool {
         self.pace.wait_to_send(stamp_ns, &mut self.record, || self.output_port.catch_up());
         !self.stop.requested()
     }
@@ -197,7 +197,7 @@ impl<T: Transport> SourceLoop<'_, T> {
         let making = started.elapsed();
         let goes_on = match next {
             Next::Message => {
-                if !(place.is_due_to_be_sent(Some(header.stamp_ns)) && place.send(header, making, list)?) {
+                if !(place.wait_to_send(Some(header.stamp_ns)) && place.send(header, making, list)?) {
                     return Ok(false);
                 }
                 let message = AnyMessage { header: &header, item: self.output, bytes: list.unwrap_or_default() };
@@ -206,7 +206,7 @@ impl<T: Transport> SourceLoop<'_, T> {
             }
             Next::Later => true,
             Next::End => {
-                place.is_due_to_be_sent(None);
+                place.wait_to_send(None);
                 false
             }
         };

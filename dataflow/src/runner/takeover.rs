@@ -29,7 +29,7 @@ pub(crate) fn take_place<T: Transport>(
     topic: &Topic,
 ) -> Result<Option<Inputs<T::Reader>>, RunError> {
     let Some(mut successor) = runtime.successor.take() else { return Ok(Some(inputs)) };
-    if !buffers_all(&mut successor, &mut inputs, runtime, topic)? {
+    if !await_first_messages(&mut successor, &mut inputs, runtime, topic)? {
         return Ok(None);
     }
     let (_, input_port) = &mut inputs;
@@ -51,7 +51,7 @@ pub(crate) fn take_place<T: Transport>(
 
 /// Waits until a message of each writer is buffered, with those of the side inputs that belong to it; `false` if the successor is
 /// no longer wanted.
-fn buffers_all<T: Transport>(
+fn await_first_messages<T: Transport>(
     successor: &mut Successor,
     (side_inputs, input_port): &mut Inputs<T::Reader>,
     runtime: &StageRuntime<T>,
@@ -76,7 +76,7 @@ fn buffers_all<T: Transport>(
         {
             return Ok(true);
         }
-        if successor.is_dismissed() || runtime.context.stop.forced() {
+        if successor.wait_for_dismissal() || runtime.context.stop.forced() {
             return Ok(false);
         }
     }

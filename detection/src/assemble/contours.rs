@@ -5,7 +5,7 @@
 //! objects. The amount is not known beforehand. But the points of an object determine its size without its contour. So each
 //! object shows the bias of the contours and the scatter of their points, and later objects are measured more exactly.
 
-use super::model::{Model, of_fit, pool_within, upright};
+use super::model::{Model, of_fit, pointing_from_apex, pool_within};
 use super::region::Region;
 use conicflow_geometry::{
     Contour, ContourBias, ContourNoise, GradientNoise, Information, Scan, Surface, SurfaceFit, fit_with_contour,
@@ -134,7 +134,7 @@ struct ContourEvidence {
     points: [f64; 2],
     radii_px: [f64; 2],
     /// Number of further pixels that share the noise of one, from the newest object.
-    correlation_px: f64,
+    further_px: f64,
 }
 
 /// Errors of the contours of a sensor in rows or in columns, estimated from its objects.
@@ -221,7 +221,7 @@ impl ContourCalibration {
             region.model = match &region.model {
                 Model::Sphere(fit) => Model::Sphere(fit_with_contour(&moments, contour, &fit.surface)?),
                 Model::Cylinder(fit) => Model::Cylinder(fit_with_contour(&moments, contour, &fit.surface)?),
-                Model::Cone(fit) => Model::Cone(upright(fit_with_contour(&moments, contour, &fit.surface)?)),
+                Model::Cone(fit) => Model::Cone(pointing_from_apex(fit_with_contour(&moments, contour, &fit.surface)?)),
             };
         }
         Some((region.model, &self.contour))
@@ -230,7 +230,7 @@ impl ContourCalibration {
     /// Learns the bias and the scatter of contours from an object. If the object may have stood still since it was last seen, its
     /// images count for less than as many objects: its own part of the bias, and noise that stays, are the same in each of them.
     pub fn learn(&mut self, region: &Region, object: &Object) {
-        let own = covariance(own_sigma_px(correlation_px(region)), SYSTEMATIC);
+        let own = covariance(own_sigma_px(further_px(region)), SYSTEMATIC);
         let contour = self.select_points(region);
         let shown = of_fit!(&region.model, fit => shown(contour, fit, &region.gradient_noise(fit), &own));
         if let Some((bias, noise)) = shown {
@@ -241,7 +241,7 @@ impl ContourCalibration {
             let points = sides.map(|(points, _)| points as f64);
             let radii_px = sides.map(|(points, radius_px)| points as f64 * radius_px);
             let learned =
-                ContourEvidence { bias, noise, objects: 1.0, points, radii_px, correlation_px: correlation_px(region) };
+                ContourEvidence { bias, noise, objects: 1.0, points, radii_px, further_px: further_px(region) };
             let direction = direction(region.ends()[0].scan);
             let still = |shown: &ObjectEvidence| shown.direction == direction && has_not_moved(&shown.object, object);
             let mut now = ObjectEvidence { object: *object, direction, learned, images: 1.0, images_ago: 0, kept: 1.0 };
@@ -258,10 +258,10 @@ impl ContourCalibration {
 
     /// Returns the noise of a region's contour; its bias has a part common to the sensor and a part of the object's own.
     fn noise(&self, region: &Region) -> ContourNoise {
-        let window = correlation_px(region);
+        let further_px = further_px(region);
         let learned = &self.learned[direction(region.ends()[0].scan)];
-        let (mean, common) = learned.bias_of_all(window);
-        let bias = ContourBias { mean, covariance: common + covariance(own_sigma_px(window), SYSTEMATIC) };
+        let (mean, common) = learned.bias_of_all(further_px);
+        let bias = ContourBias { mean, covariance: common + covariance(own_sigma_px(further_px), SYSTEMATIC) };
         let (shared_lines, surface_lines) = (region.contour_lines(), region.shared_lines());
         ContourNoise { point: learned.variance(), shared_lines, surface_lines, bias }
     }
@@ -292,7 +292,7 @@ impl AddAssign for ContourEvidence {
             self.points[side] += other.points[side];
             self.radii_px[side] += other.radii_px[side];
         }
-        self.correlation_px = other.correlation_px;
+        self.further_px = other.further_px;
     }
 }
 
@@ -305,20 +305,20 @@ impl ContourEvidence {
             objects: self.objects * times,
             points: self.points.map(|points| points * times),
             radii_px: self.radii_px.map(|radii| radii * times),
-            correlation_px: self.correlation_px,
+            further_px: self.further_px,
         }
     }
 
-    /// Returns the expectation and covariance of the bias that all objects share, where `window` further pixels share the noise
+    /// Returns the expectation and covariance of the bias that all objects share, where `further_px` further pixels share the noise
     /// of one.
-    fn bias_of_all(&self, window: f64) -> (Vector4<f64>, Matrix4<f64>) {
-        combined(self.bias, Vector4::zeros(), unknown(window))
+    fn bias_of_all(&self, further_px: f64) -> (Vector4<f64>, Matrix4<f64>) {
+        combined(self.bias, Vector4::zeros(), prior_covariance(further_px))
     }
 
     /// Returns how far contours of a side are off at a radius of curvature, in pixels, and the variance that the evidence (not
     /// the prior) gives this estimate.
     fn outside(&self, side: usize, radius_px: f64) -> (f64, f64) {
-        let (mean, covariance) = self.bias_of_all(self.correlation_px);
+        let (mean, covariance) = self.bias_of_all(self.further_px);
         let mut parts = Vector4::zeros();
         (parts[2 * side], parts[2 * side + 1]) = (1.0, radius_px);
         let weights = covariance * parts;
@@ -335,7 +335,7 @@ impl ContourEvidence {
 
     /// Returns the errors in one direction of scanning.
     fn errors(&self, scan: Scan) -> ContourErrors {
-        let (mean, covariance) = self.bias_of_all(self.correlation_px);
+        let (mean, covariance) = self.bias_of_all(self.further_px);
         let side = |side: usize| {
             let points = self.points[side];
             let radius_px = if points > 0.0 { self.radii_px[side] / points } else { 0.0 };
@@ -375,15 +375,15 @@ fn combined<const N: usize>(
     known().unwrap_or((mean, covariance))
 }
 
-/// Returns the covariance of the bias of an unknown sensor, where `window` further pixels share the noise of one.
-fn unknown(window: f64) -> Matrix4<f64> {
-    covariance(OFFSET_PX.hypot(WINDOW_OFFSET_PX * window), SHARE)
+/// Returns the covariance of the bias of an unknown sensor, where `further_px` further pixels share the noise of one.
+fn prior_covariance(further_px: f64) -> Matrix4<f64> {
+    covariance(OFFSET_PX.hypot(WINDOW_OFFSET_PX * further_px), SHARE)
 }
 
-/// Returns the standard deviation of an object's own contour error in pixels, where `window` further pixels share the noise of
+/// Returns the standard deviation of an object's own contour error in pixels, where `further_px` further pixels share the noise of
 /// one.
-fn own_sigma_px(window: f64) -> f64 {
-    SYSTEMATIC_PX + FLATTENED_PX * window
+fn own_sigma_px(further_px: f64) -> f64 {
+    SYSTEMATIC_PX + FLATTENED_PX * further_px
 }
 
 /// Returns the width of the flattened strip inside the outline of an object, in pixels; 0 where the contour is not expected
@@ -393,7 +393,7 @@ pub(super) fn edge_px(contour: &Contour) -> f64 {
 }
 
 /// Returns the number of further pixels that share the noise of one.
-fn correlation_px(region: &Region) -> f64 {
+fn further_px(region: &Region) -> f64 {
     region.ends()[0].correlation_px - 1.0
 }
 
@@ -619,9 +619,9 @@ mod tests {
     /// Windows of three pixels: two further pixels share the noise of one.
     #[test]
     fn a_contour_is_off_by_what_is_its_own_beside_what_is_not_known_of_all() {
-        let unknown = covariance(OFFSET_PX.hypot(2.0 * WINDOW_OFFSET_PX), SHARE);
+        let prior_covariance = covariance(OFFSET_PX.hypot(2.0 * WINDOW_OFFSET_PX), SHARE);
         let known = (Vector4::new(-0.5, -0.01, -0.5, 0.02), Matrix4::zeros());
-        for (scan, (mean, common)) in [(Scan::Row, (Vector4::zeros(), unknown)), (Scan::Column, known)] {
+        for (scan, (mean, common)) in [(Scan::Row, (Vector4::zeros(), prior_covariance)), (Scan::Column, known)] {
             let (mut arcs, members) = ball(scan);
             arcs.arcs.iter_mut().for_each(|arc| arc.correlation_px = 3.0);
             let region = fitted(&arcs, &members, &mut ContourCalibration::default());

@@ -93,13 +93,13 @@ impl RegionGrower {
         parameters: &AssemblerParameters,
         free: impl Fn(usize) -> bool + Copy,
     ) -> [Result<Model, Rejection>; 3] {
-        let Self { chain, spare, members: [balls, cans, cones], .. } = self;
+        let Self { chain, spare, members: [spheres, cylinders, cones], .. } = self;
         let mut grow = |start: &Start, members: &mut Vec<usize>| grow(arcs, start, parameters, free, members, spare);
-        let start = Start { kind: ObjectKind::Cylinder, chain, guess: None, middle_will_do: true };
-        let Growth { grown: cylinder, from_whole } = grow(&start, cans);
-        let sphere = grow(&Start { kind: ObjectKind::Sphere, middle_will_do: !from_whole, ..start }, balls).grown;
+        let start = Start { kind: ObjectKind::Cylinder, chain, guess: None, middle_suffices: true };
+        let Growth { grown: cylinder, from_whole } = grow(&start, cylinders);
+        let sphere = grow(&Start { kind: ObjectKind::Sphere, middle_suffices: !from_whole, ..start }, spheres).grown;
         let guess = cylinder.as_ref().ok();
-        let longer = if guess.is_some() && cans.len() > chain.len() { &*cans } else { &*chain };
+        let longer = if guess.is_some() && cylinders.len() > chain.len() { &*cylinders } else { &*chain };
         let cone = grow(&Start { kind: ObjectKind::Cone, chain: longer, guess, ..start }, cones).grown;
         [sphere, cylinder, cone]
     }
@@ -141,7 +141,7 @@ struct Start<'a> {
     /// A model of the chain as first guess, of this or another kind.
     pub guess: Option<&'a Model>,
     /// Whether a model of the middle of the chain suffices if the ends spoil the whole.
-    pub middle_will_do: bool,
+    pub middle_suffices: bool,
 }
 
 /// Result of a growth.
@@ -210,9 +210,9 @@ fn grow_on(
 
 /// Fits a model to the chain; if it does not explain the chain, to its middle, if that suffices.
 fn first(arcs: &Arcs, start: &Start, members: &mut Vec<usize>) -> Option<Model> {
-    let &Start { kind, chain, guess, middle_will_do } = start;
+    let &Start { kind, chain, guess, middle_suffices } = start;
     let lengths = [chain.len(), CORE_ARCS, MIN_FIT_ARCS];
-    for length in if middle_will_do { &lengths[..] } else { &lengths[..1] } {
+    for length in if middle_suffices { &lengths[..] } else { &lengths[..1] } {
         let start = chain.len().saturating_sub(*length) / 2;
         members.clear();
         members.extend(&chain[start..(start + length).min(chain.len())]);
@@ -396,7 +396,7 @@ mod tests {
         let (middle, parameters) = (left.len() / 2, AssemblerParameters::default());
         let grown = |lines: usize| {
             let chain = &left[middle..middle + lines];
-            let start = Start { kind: ObjectKind::Sphere, chain, guess: None, middle_will_do: false };
+            let start = Start { kind: ObjectKind::Sphere, chain, guess: None, middle_suffices: false };
             let free = |index: usize| chain.contains(&index);
             let mut members = Vec::new();
             let growth = grow(&arcs, &start, &parameters, free, &mut members, &mut Vec::new());
@@ -416,7 +416,7 @@ mod tests {
             let model = model::fit(ObjectKind::Sphere, &arcs.of(chain), None, f64::INFINITY).unwrap();
             let louder = model.square_sum() / (share * (0.5 * points + 3.0 * (2.0 * points).sqrt()));
             chain.iter().for_each(|&index| arcs.arcs[index].variance *= louder);
-            let start = Start { kind: ObjectKind::Sphere, chain, guess: None, middle_will_do: false };
+            let start = Start { kind: ObjectKind::Sphere, chain, guess: None, middle_suffices: false };
             assert_eq!(first(&arcs, &start, &mut Vec::new()).is_some(), will_do, "{share} of what there may be");
         }
     }
@@ -452,8 +452,8 @@ mod tests {
     #[test]
     fn a_shape_explains_the_whole_chain_its_middle_or_nothing_of_it() {
         let (arcs, [left, right]) = two_cans();
-        let from = |chain: &[usize], middle_will_do: bool| {
-            let start = Start { kind: ObjectKind::Cylinder, chain, guess: None, middle_will_do };
+        let from = |chain: &[usize], middle_suffices: bool| {
+            let start = Start { kind: ObjectKind::Cylinder, chain, guess: None, middle_suffices };
             let (mut members, parameters) = (Vec::new(), AssemblerParameters::default());
             let Growth { grown, from_whole } =
                 grow(&arcs, &start, &parameters, |_| true, &mut members, &mut Vec::new());

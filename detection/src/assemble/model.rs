@@ -230,11 +230,11 @@ fn fit_cone<'a>(arcs: &(impl Iterator<Item = &'a Arc> + Clone), last: Option<&Mo
         }
     };
     let moments = pool(arcs.clone(), |arc| Model::Cone(first).weight(arc)).normalized()?;
-    fit_surface(&moments, &first.surface, most).map(|fit| Model::Cone(upright(fit)))
+    fit_surface(&moments, &first.surface, most).map(|fit| Model::Cone(pointing_from_apex(fit)))
 }
 
 /// Returns the same cone with its axis pointing away from the apex.
-pub(super) fn upright(fit: SurfaceFit<Conical, 6>) -> SurfaceFit<Conical, 6> {
+pub(super) fn pointing_from_apex(fit: SurfaceFit<Conical, 6>) -> SurfaceFit<Conical, 6> {
     if fit.surface.slope >= 0.0 {
         return fit;
     }
@@ -337,7 +337,7 @@ mod tests {
         let before = fit.surface;
         let start = Conical { axis: -before.axis, slope: -before.slope, ..before };
         let downwards = fit_with_contour(&points, contour, &start).unwrap();
-        let upwards = upright(downwards);
+        let upwards = pointing_from_apex(downwards);
         let (up, down) = (upwards.surface, downwards.surface);
         assert!(
             down.slope < -0.2 && up.slope == -down.slope && up.axis == -down.axis && up.axis.dot(&cone.axis) > 0.99

@@ -72,7 +72,7 @@ impl Evidence {
     pub(crate) fn of(candidate: &Candidate, object: &Object, gap: i64) -> Self {
         let Candidate { region, measured, outline, roundness } = candidate;
         let adjoining = [-1, 1].into_iter().filter_map(|side| region.beyond(side, gap).next()).count();
-        let [before, behind] = [-1, 1].map(|side| goes_on(region, side, gap, object.radius));
+        let [before, behind] = [-1, 1].map(|side| continued_radii(region, side, gap, object.radius));
         Self {
             free_ends: outline.free,
             radius_sigma: object.sigma.radius / object.radius,
@@ -119,7 +119,7 @@ impl Evidence {
 /// Returns how far beyond an end of a region a surface continues that stays near that of the region, up to the last line that
 /// surely departs from it, in radii. The result is 0 where the surface ends or turns off at once. Where lines share their noise,
 /// the camera compared a window for each pixel, and half of that window mixes in adjoining surfaces: these lines are subtracted.
-fn goes_on(region: &Region, side: i64, gap: i64, radius: f64) -> f64 {
+fn continued_radii(region: &Region, side: i64, gap: i64, radius: f64) -> f64 {
     let (q, end) = (region.model.coefficients(), region.ends()[usize::from(side > 0)]);
     let lines_to = |arc: &Arc| f64::from(arc.line.abs_diff(end.line));
     let followed = region.beyond(side, gap).take_while(|arc| lines_to(arc) * end.spacing <= MOST_BEYOND * radius);
@@ -168,7 +168,7 @@ mod tests {
         let is_of_it = |arc: &Arc| arc.scan == Scan::Row && arc.mean.y.abs() < 0.5 * HEIGHT - inset;
         let members: Vec<_> = (0..arcs.arcs.len()).filter(|&index| is_of_it(&arcs.arcs[index])).collect();
         let model = model::fit(ObjectKind::Cylinder, &arcs.of(&members), None, f64::INFINITY).unwrap();
-        [-1, 1].map(|side| goes_on(&Region { arcs: &arcs, model, members: &members }, side, 4, RADIUS))
+        [-1, 1].map(|side| continued_radii(&Region { arcs: &arcs, model, members: &members }, side, 4, RADIUS))
     }
 
     /// A frustum that adjoins the can above (-1) or below (1), starts with its radius and narrows by `slope` metres per metre.

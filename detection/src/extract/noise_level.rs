@@ -159,10 +159,10 @@ fn of_another_growth(
 fn differ([near, far]: &[Half; 2]) -> bool {
     let sigma = (2.0 / near.count + 2.0 / far.count).sqrt();
     let ratio = (near.scatter / far.scatter).ln().abs();
-    let are_told = near.count.min(far.count) >= MIN_TRIPLES as f64;
+    let are_enough = near.count.min(far.count) >= MIN_TRIPLES as f64;
     // Noise below the model may be smoothed, and then neighbours show less than there is.
     let are_smoothed = near.scatter.min(far.scatter) <= UNSMOOTHED;
-    are_told && !are_smoothed && far.depth > DISTANT * near.depth && ratio > SURE_SIGMAS * sigma
+    are_enough && !are_smoothed && far.depth > DISTANT * near.depth && ratio > SURE_SIGMAS * sigma
 }
 
 /// Returns the model that has at two depths the standard deviations of `variance` times these factors, and that grows with the

@@ -34,7 +34,7 @@ pub(super) struct Rays<'a> {
 /// correlate with the noise and spoil the moments that it corrects.
 ///
 /// Where fewer lines could be averaged than elsewhere, the variance is larger accordingly.
-fn weigh(view: &View, points: &Points, variances: &mut Vec<f64>) {
+fn fill_variances(view: &View, points: &Points, variances: &mut Vec<f64>) {
     variances.clear();
     let (blocks, rest) = points.depths.as_chunks::<SURROUNDINGS>();
     let total = |depths: &[u16]| f64::from(depths.iter().map(|&depth| u32::from(depth)).sum::<u32>());
@@ -53,7 +53,7 @@ impl<'a> Rays<'a> {
     pub fn new(view: &'a View, line: &'a RayLine, index: usize, buffers: &'a mut RayBuffers) -> Self {
         let points = line.run(view, index);
         let RayBuffers { slopes, variances } = buffers;
-        weigh(view, &points, variances);
+        fill_variances(view, &points, variances);
         let (length, slopes) = (points.depths.len(), view.slopes(points.pixels, slopes));
         let ends = (view.parameters.trim_px as usize).min(length / 4);
         let (inner, stretch) = (ends..length - ends, line.plane.stretch());

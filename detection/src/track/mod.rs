@@ -52,7 +52,7 @@ pub struct Tracker {
     detections: Vec<Detection>,
     association: Association,
     tracks: Vec<Track>,
-    confirmed: Vec<ObjectKind>,
+    newly_confirmed: Vec<ObjectKind>,
 }
 
 /// A matrix that was given as a pose but is no pose.
@@ -83,7 +83,7 @@ impl Tracker {
             detections: Vec::new(),
             association: Association::default(),
             tracks: Vec::new(),
-            confirmed: Vec::new(),
+            newly_confirmed: Vec::new(),
         }
     }
 
@@ -138,7 +138,7 @@ impl Tracker {
 
         // T3. Association: the cheapest assignment of detections to targets within the gate (`detection.rs`,
         //     `association.rs`).
-        self.detect(objects, &world_from_camera);
+        self.take_detections(objects, &world_from_camera);
         self.associate(&time);
 
         // T4. Update: a detection corrects its target; a target without a detection is missed (`motions.rs`, `target.rs`).
@@ -152,7 +152,7 @@ impl Tracker {
 
     /// Returns the shapes of the tracks that the last frame confirmed.
     pub fn newly_confirmed(&self) -> &[ObjectKind] {
-        &self.confirmed
+        &self.newly_confirmed
     }
 
     /// Returns the live tracks as of the last frame, by identity.
@@ -178,7 +178,7 @@ impl Tracker {
         predicted.extend(targets.iter().map(|target| target.at(time, *has_pose, parameters)));
     }
 
-    fn detect(&mut self, objects: &[Object], world_from_camera: &IsometryMatrix3<f64>) {
+    fn take_detections(&mut self, objects: &[Object], world_from_camera: &IsometryMatrix3<f64>) {
         self.detections.clear();
         let detection = |object| Detection::new(object, world_from_camera, &self.parameters);
         self.detections.extend(objects.iter().map(detection));
@@ -194,7 +194,7 @@ impl Tracker {
     }
 
     fn update_targets(&mut self, time: &Advance, camera_from_world: &IsometryMatrix3<f64>) {
-        self.confirmed.clear();
+        self.newly_confirmed.clear();
         let pairs = self.targets.iter_mut().zip(&mut self.predicted).zip(self.association.detections());
         for ((target, predicted), detection) in pairs {
             let seen = detection.map(|detection| &self.detections[detection]);
@@ -203,7 +203,7 @@ impl Tracker {
                 None => predicted.miss(time),
             }
             if predicted.is_confirmed() && !target.is_confirmed() {
-                self.confirmed.push(predicted.kind);
+                self.newly_confirmed.push(predicted.kind);
             }
             target.commit(predicted, seen, time, &self.parameters);
             if !predicted.life.is_lost(&self.parameters) {
@@ -218,7 +218,7 @@ impl Tracker {
             let target = Target::born(self.next_id, &self.detections[index], time, &self.parameters);
             self.next_id += 1;
             if target.is_confirmed() {
-                self.confirmed.push(target.kind);
+                self.newly_confirmed.push(target.kind);
             }
             self.tracks.push(target.track(camera_from_world));
             self.targets.push(target);

@@ -99,7 +99,7 @@ impl Motions {
     /// Predicts the motion `dt` seconds later; `fall`: the fall of the object, if it may fall. The models of an unseen object
     /// keep their probabilities.
     pub fn predict(&mut self, dt: f64, fall: Option<Fall>, config: &TrackerParameters) {
-        self.may_change(if self.updated_in_time { dt } else { 0.0 }, fall.is_some());
+        self.mix(if self.updated_in_time { dt } else { 0.0 }, fall.is_some());
         self.updated_in_time = false;
         for model in &mut self.models {
             model.motion.predict(dt, model.manner.density(config));
@@ -116,7 +116,7 @@ impl Motions {
     }
 
     /// Mixes the models, because the object may have started to follow another one within `dt` seconds; `falls`: also a fall.
-    fn may_change(&mut self, dt: f64, falls: bool) {
+    fn mix(&mut self, dt: f64, falls: bool) {
         let mean = self.mean();
         let stays = (-CHANGES_PER_S * dt).exp();
         let possible = (Manner::COMMON.len() + usize::from(falls)) as f64;

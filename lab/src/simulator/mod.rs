@@ -100,7 +100,7 @@ impl SyntheticCamera {
     }
 
     /// Returns the camera with another noise model in its headers than that of the sensor.
-    pub fn telling(self, noise: NoiseModel) -> Self {
+    pub fn with_noise_in_headers(self, noise: NoiseModel) -> Self {
         Self { told_noise: noise, ..self }
     }
 
@@ -291,7 +291,7 @@ impl SimulatorParameters {
             camera = camera.with_sensor(sensor);
         }
         if let Some(noise) = self.told_noise {
-            camera = camera.telling(noise.into());
+            camera = camera.with_noise_in_headers(noise.into());
         }
         Ok(camera)
     }

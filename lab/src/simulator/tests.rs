@@ -29,7 +29,7 @@ fn the_header_tells_camera_noise_pose_and_simulated_time() {
     let pose = header.pose().unwrap();
     assert_eq!([pose[0][3], pose[1][3], pose[2][3]], [0.0, 0.0, 1.0]);
     assert_eq!(header.camera.fx, 65.625);
-    camera.telling(NoiseModel::IDEAL).describe(&mut header);
+    camera.with_noise_in_headers(NoiseModel::IDEAL).describe(&mut header);
     assert_eq!(header.noise, NoiseModel::IDEAL);
 }
 

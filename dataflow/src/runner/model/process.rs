@@ -44,7 +44,7 @@ pub(super) enum At {
     Ended,
     /// `OutputPort::await_finish`, in `StagePlace::end` of a stage that hands its place over.
     Left,
-    /// `takeover::buffers_all`.
+    /// `takeover::await_first_messages`.
     Buffering,
     /// `Successor::await_turn`.
     Ready,
@@ -328,7 +328,7 @@ impl Process {
         self.await_sight();
     }
 
-    /// Models `takeover::buffers_all` and `Successor::is_ready`.
+    /// Models `takeover::await_first_messages` and `Successor::is_ready`.
     fn buffer(&mut self) {
         self.input().buffer_newest().expect("the model's memory does not fail");
         let writer = STAGES[self.stage - 1];
