@@ -33,7 +33,7 @@ const MESSAGES: usize = 300;
 const PAUSE: Duration = Duration::from_millis(2);
 /// Queue length, for a reader that is delayed.
 const QUEUE: usize = 16;
-/// The same for a lossless reader, as by default in a pipeline file.
+/// Queue length of a lossless reader: the default of a pipeline file.
 const LOSSLESS_QUEUE: usize = 4;
 const WRITER: &str = "writer";
 /// Timeout after which a waiting reader has failed.

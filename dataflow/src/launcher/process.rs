@@ -164,11 +164,11 @@ fn alone(plan: &Plan, name: &str, options: &RunOptions) -> Result<Command, Proce
 
 /// Work of a stage's process.
 enum Work<'a> {
-    /// It runs a node of the table.
+    /// The process runs a node of the table.
     Node(&'static Variant),
-    /// It carries edges to other machines.
+    /// The process carries edges to other machines.
     Bridge(RunBridge, &'a BridgePlan),
-    /// It becomes a program, with these arguments.
+    /// The process becomes a program, with these arguments.
     Program(Vec<String>),
 }
 

@@ -245,7 +245,7 @@ impl RunningPipeline {
         self.watch_while(topics, || Watching::GoOn, see)
     }
 
-    /// The same, and calls `wants` regularly, even without messages, to ask whether to go on.
+    /// Watches topics as [`Self::watch`] does, and calls `wants` regularly, even without messages, to ask whether to go on.
     ///
     /// # Errors
     /// A topic cannot be read, or `see` failed.

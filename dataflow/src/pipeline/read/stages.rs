@@ -16,8 +16,8 @@ use std::path::{Path, PathBuf};
 pub const STAGE_KEYS: [&str; 8] = ["node", "program", "input", "inputs", "output", "machine", "restart", "env"];
 pub const RESTARTS: [(&str, Restart); 3] =
     [("never", Restart::Never), ("on_failure", Restart::OnFailure), ("always", Restart::Always)];
-/// Each stage is a process: on two cores 100 stages start, see a frame and end in 5 s, 400 in 42 s; 500 that run for 20 s take
-/// 147 s.
+/// Maximum number of stages. Each is a process: on two cores 100 stages start, see a frame and end in 5 s, 400 in 42 s; 500 that
+/// run for 20 s take 147 s.
 const MAX_STAGES: usize = 500;
 /// Prefix of the environment variables that tie a stage to its run.
 const OWN_VARIABLES: &str = "CONICFLOW_";

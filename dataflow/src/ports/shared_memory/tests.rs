@@ -228,7 +228,7 @@ fn what_a_lossless_reader_has_not_finished_is_handed_to_the_next_one_and_to_nobo
     assert_eq!(writer.unfinished("reader"), 0);
 }
 
-/// It needs a new segment, and messages in the old one may have to be resent to a restarted reader.
+/// A longer message needs a new segment, and messages in the old one may have to be resent to a restarted reader.
 #[test]
 fn a_longer_message_waits_until_what_came_before_it_is_finished() {
     let folder = tempfile::tempdir().unwrap();

@@ -125,7 +125,7 @@ fn no_order_of_events_loses_anything_or_stands_still() {
     }
 }
 
-/// The same for larger trials, which take minutes.
+/// Explores all orders of events in larger trials, which take minutes.
 #[test]
 #[ignore = "takes minutes"]
 fn no_longer_order_of_events_loses_anything_or_stands_still() {
