@@ -753,7 +753,7 @@ fn where_the_newest_wins_no_order_of_events_brings_a_message_twice_or_keeps_a_ru
     }
 }
 
-/// The same with more messages and kills; takes minutes.
+/// Explores all orders of events with more messages and kills; takes minutes.
 #[test]
 #[ignore = "takes minutes"]
 fn no_longer_order_of_events_loses_anything_or_keeps_a_run_waiting() {

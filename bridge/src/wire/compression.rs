@@ -8,8 +8,9 @@ use zstd::bulk::{Compressor, Decompressor};
 const ZSTD_LEVEL: i32 = 1;
 
 thread_local! {
-    /// What packs and unpacks is kept: to make it takes longer than a short list.
+    /// The compressor of this thread, which is kept: to make one takes longer than to compress a short list.
     static COMPRESSOR: RefCell<io::Result<Compressor<'static>>> = RefCell::new(Compressor::new(ZSTD_LEVEL));
+    /// The decompressor of this thread, which is kept: to make one takes longer than to unpack a short list.
     static DECOMPRESSOR: RefCell<io::Result<Decompressor<'static>>> = RefCell::new(Decompressor::new());
 }
 
