@@ -277,7 +277,7 @@ mod tests {
     use std::f64::consts::PI;
 
     const SIGMA_M: f64 = 0.002;
-    /// So much noise that most information is in the silhouettes.
+    /// Noise so large that most information is in the silhouettes.
     const VAGUE_M: f64 = 0.5;
     const JITTER_PX: f64 = 0.5;
 
@@ -319,7 +319,7 @@ mod tests {
         (shape, body)
     }
 
-    /// So far away that all rays are nearly parallel; the radius is 120 pixels.
+    /// A camera so far away that all rays are nearly parallel; the radius is 120 pixels.
     const FAR: Camera = Camera { width: 400, height: 400, fx: 40_000.0, fy: 40_000.0, cx: 199.7, cy: 199.6 };
 
     fn assert_near(what: &str, number: f64, expected: f64, share: f64) {
