@@ -48,7 +48,7 @@ impl Live {
         Ok(live)
     }
 
-    /// Shows running pipelines until `told` is set.
+    /// Shows running pipelines until the flag `told` is set.
     ///
     /// # Errors
     /// The search for running pipelines fails.
