@@ -26,6 +26,7 @@ type Outcome<T> = Result<T, Box<dyn Error>>;
 
 /// Bytes of a message: a short list to an image of 1280x960 depths of 32 bits.
 const SIZES: [usize; 5] = [64, 4096, 65_536, 614_400, 4_915_200];
+/// Number of rounds.
 const ROUNDS: usize = 5;
 /// Number of messages in a round.
 const MESSAGES: usize = 300;

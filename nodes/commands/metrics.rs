@@ -24,6 +24,7 @@ use std::time::{Duration, Instant};
 const PATH: &str = "/metrics";
 /// The subject of errors.
 const OF_FILE: &str = "`metrics` of the pipeline file";
+/// Content type of an answer.
 const KIND: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 /// Requests within this time get the same answer, without another look at the records.
 const FRESH: Duration = Duration::from_millis(200);

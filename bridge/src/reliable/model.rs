@@ -153,7 +153,7 @@ struct Receiver {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Reader {
     AtWork,
-    /// It was killed, and has not been restarted.
+    /// The reader was killed, and has not been restarted.
     Killed,
     Ended,
 }
@@ -387,7 +387,7 @@ impl Edge {
         let is_away = self.is_lossless() && self.reader == Reader::Killed;
         let base = self.base.as_mut()?;
         if base.has_ended || base.has_carried {
-            // It is not read any more.
+            // The base does not read the link any more.
             return self.link.pop_front().map(drop);
         }
         // A message waits until a lossless reader is back; an end does not.

@@ -200,7 +200,7 @@ impl RetransmitQueue {
         self.next += 1;
     }
 
-    /// Does the same for the end of a writer's stream, which is sent to each receiver until it acknowledges the end.
+    /// Counts and keeps the end of a writer's stream, which is sent to each receiver until it acknowledges the end.
     pub(crate) fn sent_end(&mut self, writer: &str, bytes: &[u8], now: Instant) {
         self.ends.push(End { writer: writer.to_owned(), number: self.next, bytes: bytes.to_vec() });
         self.sent(bytes, now);

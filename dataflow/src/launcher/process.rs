@@ -353,7 +353,7 @@ fn become_program(plan: &Plan, planned: &PlannedStage, command: &[String]) -> Pr
         return ProcessError::NoNode(planned.name.clone());
     };
     if launcher().is_some() {
-        // It may not handle SIGTERM.
+        // The program may not handle SIGTERM.
         set_parent_process_death_signal(Some(Signal::KILL)).ok();
     }
     let error = Command::new(program).args(arguments).current_dir(&plan.base).exec();

@@ -26,6 +26,7 @@ pub const HANG_S: RangeInclusive<f64> = 1.0..=86_400.0;
 /// Default time after its start within which a program has to join a lossless topic, which is blocked without it. Python loads a
 /// neural network within a minute on the computers of robots.
 pub const TIME_TO_JOIN_S: f64 = 120.0;
+/// Allowed `join_s`.
 pub const JOIN_S: RangeInclusive<f64> = 1.0..=86_400.0;
 const OUTPUT_EXAMPLE: &str = "output = { topic = \"found\", kind = \"objects\" }";
 const HANG_HINT: &str = "a stage without a sign of life for so long counts as dead";

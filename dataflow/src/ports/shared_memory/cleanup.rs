@@ -19,8 +19,8 @@ use std::path::{Path, PathBuf};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-/// Maximum time for which a killed process still holds its locks and files on a busy machine, or a process that checks for
-/// leftovers holds the lock.
+/// Maximum time for which a killed process on a busy machine still holds its locks and files, and for which a process that checks
+/// for leftovers holds the lock.
 const LETTING_GO: Duration = Duration::from_secs(1);
 
 const LOCK: &str = "lock";
