@@ -30,7 +30,7 @@ const SIZES: [usize; 5] = [64, 4096, 65_536, 614_400, 4_915_200];
 const ROUNDS: usize = 5;
 /// Number of messages in a round.
 const MESSAGES: usize = 300;
-/// Long enough for a reader to fall asleep.
+/// Pause between messages that is long enough for a reader to fall asleep.
 const PAUSE: Duration = Duration::from_millis(2);
 /// Queue length, for a reader that is delayed.
 const QUEUE: usize = 16;

@@ -18,7 +18,7 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
-/// Largest expansion by a compression: lz4 makes 255 bytes of one.
+/// Largest ratio of the sizes before and after compression: lz4 makes 255 bytes of one.
 const MAX_EXPANSION: u64 = 256;
 /// Endings of files that are compressed as a whole.
 const COMPRESSED: [&str; 2] = ["zstd", "lz4"];

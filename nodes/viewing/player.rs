@@ -167,7 +167,7 @@ impl Player {
         Ok(player)
     }
 
-    /// Plays until `told` is set. Where a frame cannot be read, the page shows the error and playback pauses.
+    /// Plays until the flag `told` is set. Where a frame cannot be read, the page shows the error and playback pauses.
     pub fn play(&mut self, told: &AtomicBool) {
         while !told.load(Ordering::Relaxed) {
             if let Err(error) = self.play_on() {

@@ -24,7 +24,7 @@ const ROBOT: usize = 0;
 const BASE: usize = 1;
 const READER: usize = 2;
 const WRITER: &str = "writer";
-/// Longer than any timeout.
+/// A time that is longer than any timeout.
 const LONG: Duration = Duration::from_secs(100);
 
 /// The part of the protocol that a trial leaves out, to check that the model detects it.

@@ -20,7 +20,7 @@ const FARTHEST_BEHIND: u64 = CAPACITY as u64;
 
 /// A doubtful message is believed when it comes again after this time; the sender retransmits it by then, or soon after.
 const CONFIRMED_AFTER: Duration = Duration::from_millis(200);
-/// This many doubtful messages are remembered: more than a sender keeps.
+/// Number of doubtful messages that are remembered: more than a sender keeps.
 const MOST_DOUBTS: usize = 2 * CAPACITY;
 
 /// The receiver's decision on a message.

@@ -47,7 +47,7 @@ const ANSWER: Duration = Duration::from_secs(1);
 const MOST_COMPARED: usize = 64;
 /// A step in a publisher's numbers that is longer than this does not count as lost messages: the publisher numbers differently.
 const LONGEST_STEP: u64 = 100_000;
-/// At most this many tokens are read.
+/// Maximum number of tokens that are read.
 const MOST_TOKENS: usize = 10_000;
 
 /// A participant that communicates over Zenoh.

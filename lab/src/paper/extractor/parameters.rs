@@ -15,7 +15,7 @@ pub struct ConicParameters {
     /// Added to `max_error_sigmas`, for what the noise model leaves out, in metres.
     #[schemars(range(min = 0.0, max = 0.1))]
     pub max_error_floor_m: f64,
-    /// Largest depth step within a run, in standard deviations of the sensor, in excess of `jump_slope`.
+    /// Largest depth step within a run, beyond that of `jump_slope`, in standard deviations of the sensor.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub jump_sigmas: f64,
     /// Slope of a surface (depth per distance across the view) whose depth steps never end a run.
