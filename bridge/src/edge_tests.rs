@@ -66,7 +66,7 @@ impl Side {
         Self::of_run(name, edge, folder, key, None)
     }
 
-    /// The same, with a folder for the notes of its bridge.
+    /// One side of an edge, with a folder for the notes of its bridge.
     fn of_run(name: &'static str, edge: Edge, folder: &Path, key: Option<&LinkKey>, run_folder: Option<&Path>) -> Self {
         let (session, stop) = (if name == "robot" { 5 } else { 9 }, Stop::default());
         let [outgoing, incoming] = ["robot", "base"].map(|of| if of == name { vec![edge.clone()] } else { vec![] });
@@ -156,7 +156,8 @@ fn accepted(delivery: Delivery, messages: &[Vec<u8>]) -> ([u64; 4], Ack) {
     accepted_with(Some(&secret()), delivery, messages)
 }
 
-/// The same with a key or without one; without it, each message is sent until it is acknowledged.
+/// Hands messages to `base` as [`accepted`] does, with or without a key; without one, each message is sent until it is
+/// acknowledged.
 fn accepted_with(key: Option<&LinkKey>, delivery: Delivery, messages: &[Vec<u8>]) -> ([u64; 4], Ack) {
     let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
     let robot = Side::new("robot", edge(delivery, BRIDGE), folders[0].path(), key);

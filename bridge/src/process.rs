@@ -24,10 +24,11 @@ use zenoh::qos::Priority;
 
 /// How long lossless edges wait for a machine that has gone, if the file does not set `outage_s`.
 const OUTAGE: Duration = Duration::from_secs(30);
+/// Period of the checks of edges and links, and pause between repetitions of the last heartbeat.
 const TICK: Duration = Duration::from_millis(10);
 /// The period of heartbeats without news.
 const HEARTBEAT_PERIOD: Duration = Duration::from_millis(200);
-/// The last heartbeat is repeated, because nothing acknowledges it.
+/// Number of times that the last heartbeat is sent: nothing acknowledges it.
 const FAREWELLS: usize = 5;
 
 /// Carries the edges of a plan until all have ended, in a separate process.

@@ -27,7 +27,7 @@ use zenoh::bytes::ZBytes;
 const IDLE_CHECK_PERIOD: Duration = Duration::from_millis(50);
 /// Room for messages that wait to be decoded, on a lossless edge; messages that find no room are retransmitted.
 const LOSSLESS_ROOM: usize = 64;
-/// With `latest`, messages that were under way for longer are a useless backlog and are dropped.
+/// With `latest`, messages that were under way for longer than this are a useless backlog and are dropped.
 const STALE: Duration = Duration::from_secs(1);
 /// If datagrams come less often than this, the bridge subscribes to the stream as well.
 const DATAGRAM_TIMEOUT: Duration = Duration::from_secs(2);

@@ -23,8 +23,9 @@ use zenoh::qos::Priority;
 
 /// How often an idle edge checks acknowledgements and ends.
 const IDLE_CHECK_PERIOD: Duration = Duration::from_millis(20);
-/// With `latest`, the longest wait of messages on a full link; images wait less and so yield to lists.
+/// With `latest`, the longest wait of a list on a full link.
 const LISTS_WAIT: Duration = Duration::from_millis(100);
+/// With `latest`, the longest wait of an image on a full link: images yield to lists.
 const IMAGES_WAIT: Duration = Duration::from_millis(40);
 /// How often a full queue checks for acknowledgements.
 const FULL_CHECK_PERIOD: Duration = Duration::from_millis(2);
@@ -207,7 +208,8 @@ impl<'a> Sending<'a> {
         self.counts.age_ns.store(age, Ordering::Relaxed);
     }
 
-    /// Sends the ends of writers that have ended or are gone; returns true if a writer that is gone had sent a message before.
+    /// Sends the ends of writers that have ended or are gone. Returns true if it forwarded one more message of the topic
+    /// instead, as the last messages of a writer that is gone come before its end.
     fn forward_ends(&mut self) -> Result<bool, BridgeError> {
         let gone: Vec<_> = self.edge.writers.iter().filter(|writer| self.is_gone(writer)).cloned().collect();
         if !gone.is_empty() && self.forward_next()? {

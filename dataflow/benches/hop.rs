@@ -26,14 +26,15 @@ type Outcome<T> = Result<T, Box<dyn Error>>;
 
 /// Bytes of a message: a short list to an image of 1280x960 depths of 32 bits.
 const SIZES: [usize; 5] = [64, 4096, 65_536, 614_400, 4_915_200];
+/// Number of rounds.
 const ROUNDS: usize = 5;
 /// Number of messages in a round.
 const MESSAGES: usize = 300;
-/// Long enough for a reader to fall asleep.
+/// Pause between messages that is long enough for a reader to fall asleep.
 const PAUSE: Duration = Duration::from_millis(2);
 /// Queue length, for a reader that is delayed.
 const QUEUE: usize = 16;
-/// The same for a lossless reader, as by default in a pipeline file.
+/// Queue length of a lossless reader: the default of a pipeline file.
 const LOSSLESS_QUEUE: usize = 4;
 const WRITER: &str = "writer";
 /// Timeout after which a waiting reader has failed.

@@ -7,8 +7,9 @@
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGTSTP};
 use std::fs::read_to_string;
 
-/// Linux's file with the signals that a process ignores, as a bit mask; the lowest bit is signal 1.
+/// Linux's file with the signals that this process ignores, as a bit mask; the lowest bit is signal 1.
 const STATUS: &str = "/proc/self/status";
+/// Start of the line with the ignored signals in [`STATUS`].
 const IGNORED: &str = "SigIgn:";
 
 /// The signals that end this program; has to be called before any handler is installed.

@@ -25,7 +25,8 @@ pub const CLEAR_LINE: &str = "\r\x1b[K";
 /// Checks the level (error, warn, info, debug or trace) or the filter, such as `conicflow_dataflow=debug`.
 ///
 /// # Errors
-/// It is neither. A single word has to be a level: `tracing` would take any other word as the only target to log.
+/// The text is neither a level nor a filter. A single word has to be a level: `tracing` would take any other word as the only
+/// target to log.
 pub fn log_filter(text: &str) -> Result<String, String> {
     parts(text).try_for_each(|part| part.map(drop)).map(|()| text.to_owned())
 }

@@ -170,7 +170,7 @@ fn run_new_source(source: &NewSource<'_>, runtime: StageRuntime<SharedMemory>) -
     run_source(source, runtime)
 }
 
-/// Not generic in the stage, for the same reason.
+/// Not generic in the stage, so that the loop is compiled only once, in this package.
 fn run_new_stage(stage: &NewStage<'_>, runtime: StageRuntime<SharedMemory>) -> Result<(), RunError> {
     run_stage(stage, runtime)
 }

@@ -29,9 +29,9 @@ pub enum PauseRequest {
 /// The sources of a run on this machine.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Sources {
-    /// Those that can be paused.
+    /// Sources that can be paused.
     pub can_pause: Vec<String>,
-    /// Live ones, which cannot be paused, such as cameras.
+    /// Live sources, such as cameras, which cannot be paused.
     pub live: Vec<String>,
     /// Whether those that can be paused are paused.
     pub paused: bool,

@@ -15,7 +15,8 @@ use serde_json::Value as Json;
 use std::collections::HashSet;
 use std::path::PathBuf;
 
-/// Version of all that launcher and stages share: the plan, records, names in shared memory. Raised with each change of these.
+/// Version of all that launcher and stages share: the plan, records, names in shared memory. Raised with each change of
+/// any of them.
 pub(crate) const LAYOUT: u32 = 6;
 
 /// The plan of a run on one machine.

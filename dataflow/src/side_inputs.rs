@@ -31,9 +31,9 @@ impl SideInput {
 /// Which message of a side input belongs to a message of the driving one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pairing {
-    /// The newest one.
+    /// The newest message.
     Latest,
-    /// The one from the same frame.
+    /// The message from the same frame.
     SameFrame,
 }
 

@@ -157,7 +157,7 @@ pub trait Source: Sized {
 pub enum Next {
     /// A message was written.
     Message,
-    /// There is none yet. Counts are kept, and the source is asked again at once.
+    /// There is no message yet. Counts are kept, and the source is asked again at once.
     Later,
     /// The source is exhausted.
     End,
@@ -217,7 +217,7 @@ pub trait Stage: Sized {
         output: &mut Output<Self::Output>,
     ) -> Result<(), StageError>;
 
-    /// Ends its work after the last message: closes files, prints sums.
+    /// Ends its work after the last message: closes files, prints totals.
     ///
     /// # Errors
     /// Its work could not be ended; the stage is not restarted.
@@ -282,7 +282,8 @@ impl<'a, T: Item> Output<'a, T> {
         try_cast_slice_mut(bytes).map_err(|error| format!("the output has no place for {}: {error}", T::NAME).into())
     }
 
-    /// Adds to a counter that the summary and `top` show, such as a reason for rejected candidates.
+    /// Adds to a counter, such as a reason for rejected candidates. `top` shows all counters. The summary shows those of sources
+    /// and sinks always, the others with `--log debug` or if nothing was found.
     pub fn count(&mut self, name: &'static str, times: u64) {
         if times > 0 {
             *self.counts.entry(name).or_default() += times;

@@ -24,11 +24,13 @@ pub const MAX_COUNTERS: usize = 40;
 /// Run id of stages that were started one by one, without a launcher.
 pub const NO_RUN: u64 = 0;
 
+/// First word of a record: name and version of its layout.
 const LAYOUT: u64 = 0x636f_6e69_6366_0007;
 /// Number of buckets per octave of time: a percentile is accurate within 3 %.
 const STEPS: usize = 16;
-/// 1 microsecond to 69 seconds.
+/// Number of octaves in a histogram of durations: 1 microsecond to 69 seconds.
 const OCTAVES: usize = 26;
+/// Start of the first octave in nanoseconds; shorter durations count in its first bucket.
 const SMALLEST_NS: u64 = 1024;
 
 /// State of a stage.
@@ -56,11 +58,11 @@ impl Life {
 /// Whether a source is paused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pausing {
-    /// It cannot be paused: it is a live source, or not a source.
+    /// The stage cannot be paused: it is a live source, or not a source.
     Cannot,
-    /// It can be paused, and is running.
+    /// The source can be paused, and is running.
     Goes,
-    /// It is paused.
+    /// The source is paused.
     Stands,
 }
 

@@ -3,11 +3,10 @@
 //! Depths are independent and normal about `z_i(theta)`, so that the information about the parameters theta is
 //! `I = sum_i w_i J_i' J_i / sigma(z_i)^2` with `J_i = dz_i / dtheta`, and no unbiased estimate scatters less than `I^-1`
 //! (Rao 1945, Cramer 1946; for example Kay, "Fundamentals of Statistical Signal Processing: Estimation Theory", 1993, chapter
-//! 3). On the surface `F(z r, theta) = 0` of a ray r that is `J = -(dF / dtheta) / (grad F . r)`. The weight w is the chance
-//! On the surface `F(z r, theta) = 0` of a ray r that is `J = -(dF / dtheta) / (grad F . r)`. The weight w is the probability
-//! that a pixel is measured: 1 up to an angle between ray and normal, then falling linearly in its cosine to 0, as in
-//! [`super::simulator::sensor`]. Bound A uses the depths of the visible side only: not the flat ends, and not the pixels next to
-//! another surface, whose depth may be that of either one and depends on the silhouette.
+//! 3). On the surface `F(z r, theta) = 0` of a ray r that is `J = -(dF / dtheta) / (grad F . r)`. The weight w is the
+//! probability that a pixel is measured: 1 up to an angle between ray and normal, then falling linearly in its cosine to 0, as
+//! in [`super::simulator::sensor`]. Bound A uses the depths of the visible side only: not the flat ends, and not the pixels next
+//! to another surface, whose depth may be that of either one and depends on the silhouette.
 //!
 //! Bound B uses the silhouettes, too: where a scan line leaves the side of the object for something farther away, the
 //! discriminant `D(u, theta) = b^2 - 4 a c` of `F(z r) = a z^2 + b z + c` is zero, so `du / dtheta = -(dD / dtheta) / (dD / du)`,
@@ -33,7 +32,7 @@ pub struct Bound {
     pub half_angle: Option<f64>,
 }
 
-/// Both bounds.
+/// The lower bounds of the errors from depths alone, and from depths and silhouettes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds {
     /// A: from depths alone.
@@ -277,7 +276,7 @@ mod tests {
     use std::f64::consts::PI;
 
     const SIGMA_M: f64 = 0.002;
-    /// So much noise that most information is in the silhouettes.
+    /// Noise so large that most information is in the silhouettes.
     const VAGUE_M: f64 = 0.5;
     const JITTER_PX: f64 = 0.5;
 
@@ -319,7 +318,7 @@ mod tests {
         (shape, body)
     }
 
-    /// So far away that all rays are nearly parallel; the radius is 120 pixels.
+    /// A camera so far away that all rays are nearly parallel; the radius is 120 pixels.
     const FAR: Camera = Camera { width: 400, height: 400, fx: 40_000.0, fy: 40_000.0, cx: 199.7, cy: 199.6 };
 
     fn assert_near(what: &str, number: f64, expected: f64, share: f64) {

@@ -66,7 +66,7 @@ pub struct Ellipse {
     /// How many neighbouring pixels share their noise: the variance of the mean of many depths is that of one, times this, over
     /// their number. 1 or 0: the noise of each pixel is independent.
     pub correlation_px: f64,
-    /// The same for neighbouring lines of the image; 0 stands for 1.
+    /// How many neighbouring lines of the image share their noise; 0 stands for 1.
     pub shared_lines: f64,
     /// Over how many lines the depths of the points are averaged, as an effective number that gives the remaining variance; 0
     /// stands for 1, none. The number of lines that share their noise grows by the same factor. `contour` is that of the single

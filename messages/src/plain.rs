@@ -3,9 +3,9 @@
 
 use std::fmt::Write;
 
-/// A longer line, in characters, is shortened to its beginning and its end. None of our own lines is that long.
+/// A line that is longer than this, in characters, is shortened to its beginning and its end. None of our own lines is that long.
 const LONGEST_LINE: usize = 1000;
-/// Length of the end that is shown: the end says what is wrong.
+/// Length of the end of a shortened line, in characters: the end says what is wrong.
 const END: usize = 300;
 /// Separates the lines of one message.
 const FURTHER_LINE: &str = "\n  ";

@@ -5,7 +5,7 @@ use crate::{INVALID_FAR, INVALID_NEAR};
 /// Metres per unit: a tenth of a millimetre, which is finer than any sensor and reaches to 6.5 m; for larger depths a quarter of
 /// a millimetre, which reaches to 16.38 m.
 const SCALES: [f64; 2] = [0.0001, COARSEST_SCALE];
-/// The coarser scale.
+/// The coarsest unit of depths, in metres.
 pub const COARSEST_SCALE: f64 = 0.000_25;
 
 /// Returns the finest scale (metres per unit) that holds the largest of these depths, or else the coarsest.

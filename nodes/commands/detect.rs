@@ -55,7 +55,7 @@ pub struct DetectArguments {
     /// Writes one moving picture (APNG) of all frames into this file, up to 300 of them, for a README
     #[arg(long, value_name = "FILE", group = "drawn")]
     moving: Option<PathBuf>,
-    /// Its width in pixels; that of the frames where they are narrower
+    /// Width of the moving picture in pixels; that of the frames where they are narrower
     #[arg(long, value_name = "PX", default_value_t = 480, requires = "moving", value_parser = clap::value_parser!(u32).range(16..=1920))]
     moving_width: u32,
     /// Draws every so many frames

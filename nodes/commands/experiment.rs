@@ -31,7 +31,7 @@ fn columns_of(program: &Program) -> Option<Vec<&'static str>> {
 /// over an input file.
 ///
 /// # Errors
-/// The error names the key with such a column, and the possible ones, or such a file.
+/// The experiment is refused. The error names the key of a wrong column and the possible columns, or the wrong file.
 pub fn check(experiment: &Experiment, pipeline: &Pipeline) -> Result<()> {
     let plot = experiment.plot.as_ref().map(|plot| plot.path.clone());
     for files in FileUse::given(&pipeline.base, [("csv", &experiment.csv), ("plot.path", &plot)]) {

@@ -24,11 +24,13 @@ use std::time::{Duration, Instant};
 const PATH: &str = "/metrics";
 /// The subject of errors.
 const OF_FILE: &str = "`metrics` of the pipeline file";
+/// Content type of an answer.
 const KIND: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 /// Requests within this time get the same answer, without another look at the records.
 const FRESH: Duration = Duration::from_millis(200);
-/// Range of the histograms' buckets, in seconds: shorter times count in the first bucket, longer ones in the last.
+/// Smallest end of a histogram's bucket, in seconds; shorter times count in the first bucket.
 const SHORTEST_S: f64 = 60e-6;
+/// Largest finite end of a histogram's bucket, in seconds; longer times count in the last bucket.
 const LONGEST_S: f64 = 10.0;
 
 /// Serves the metrics of a pipeline's run, if its file says so for this machine, until the server is dropped.

@@ -18,7 +18,7 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
-/// Largest expansion by a compression: lz4 makes 255 bytes of one.
+/// Largest ratio of the sizes before and after compression: lz4 makes 255 bytes of one.
 const MAX_EXPANSION: u64 = 256;
 /// Endings of files that are compressed as a whole.
 const COMPRESSED: [&str; 2] = ["zstd", "lz4"];
@@ -263,9 +263,9 @@ pub struct Messages {
     /// The current file, its length when it was found, and the number of its messages so far.
     open: Option<(OpenFile, u64, u64)>,
     topics: Vec<String>,
-    /// Messages that were written earlier are left out ...
+    /// Messages that were written before this time are left out.
     from_ns: Option<u64>,
-    /// ... and so are those written at this time or later.
+    /// Messages that were written at this time or later are left out.
     until_ns: Option<u64>,
     /// Whether there is only one file.
     is_only: bool,

@@ -6,17 +6,17 @@ use conicflow_dataflow::ItemType;
 use conicflow_messages::{HEADER_TYPE_NAME, Header, Hinted};
 use serde::{Deserialize, Serialize};
 
-/// Name of the encoding of such messages.
+/// Name of the encoding of conicflow's own messages.
 pub const ENCODING: &str = "conicflow";
-/// Key of a channel's metadata that holds its schema. A schema of MCAP would disturb readers that know only those of ROS 2, such
-/// as `rosbags`.
+/// Key of the metadata that holds the schema of a channel of own messages. A schema of MCAP would disturb readers that know only
+/// those of ROS 2, such as `rosbags`.
 pub const SCHEMA: &str = "conicflow";
-/// Last part of such a channel's topic.
+/// Last part of the topic of a channel of own messages.
 pub const MESSAGE: &str = "message";
 /// Last part of the topic with the pixels of depth images.
 pub const IMAGE: &str = "image_rect_raw";
 
-/// The schema of such a channel: the types and sizes of its bytes.
+/// The schema of a channel of own messages: the types and sizes of its bytes.
 #[derive(Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Schema {
     header: String,

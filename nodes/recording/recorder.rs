@@ -50,8 +50,9 @@ const WORLD: &str = "world";
 const NAMELESS: &str = "camera";
 /// Encoding of a schema that consists of a name only.
 const NAME_ALONE: &str = "";
-/// The name of the metadata record of a file, and its key for the run.
+/// The name of the metadata record of a file.
 const ABOUT: &str = "conicflow";
+/// The key of the run in the metadata record of a file.
 const RUN: &str = "run";
 /// The unit of 16-bit depth images in ROS, in metres.
 const MILLIMETRE: f64 = 0.001;

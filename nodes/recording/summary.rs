@@ -6,7 +6,7 @@ use std::fs::File;
 use std::io::{Read, Seek};
 use std::path::Path;
 
-/// Longest record: the largest image of single precision has 256 MB.
+/// Longest record that is read, in bytes: the largest image of single precision has 256 MB.
 pub(super) const MAX_RECORD_BYTES: u64 = 512 << 20;
 
 /// Reads the summary of a file; `None` if it has none.

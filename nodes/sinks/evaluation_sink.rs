@@ -30,7 +30,7 @@ pub struct EvaluationConfig {
     pub required: VisibilityCriteria,
     /// Largest errors of a right answer about a rendered frame.
     pub tolerance: Tolerances,
-    /// The same for a recording, with `truth`.
+    /// Largest errors of a right answer about a frame of a recording (`truth`).
     pub recorded_tolerance: RecordedTolerances,
     /// File for the counts and medians of all frames as one line of JSON, of which an experiment makes a table; none: not
     /// written.

@@ -112,7 +112,7 @@ impl<T: Item> Stage for McapSink<T> {
             tracing::warn!("the recording has reached `limit_mb`: no more is recorded");
         }
         if self.is_lossless {
-            // Their writers do not keep these messages any longer.
+            // The writers of these messages do not keep them after this step.
             self.recorder.flush().map_err(stage_error)?;
         }
         output.count("messages recorded", (recorded.len() - left_out) as u64);

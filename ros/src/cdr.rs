@@ -275,7 +275,7 @@ mod tests {
         writer.stamped(Stamped { stamp_ns: 5_000_000_006, frame_id: "camera" }).u8(9).f64s(&[1.5]).u32(3).i32(-2);
         writer.bytes(3, [1, 2, 3].into_iter()).text("");
         let little = writer.finish();
-        // The same by hand, in big-endian order.
+        // The same values, encoded by hand in big-endian order.
         let mut big = vec![0, 0, 0, 0, 0, 0, 0, 5, 0, 0, 0, 6, 0, 0, 0, 7];
         big.extend(b"camera\0\x09\0\0\0\0");
         big.extend(1.5_f64.to_be_bytes());

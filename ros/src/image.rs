@@ -3,7 +3,7 @@
 use crate::{Reader, Stamped, Undecodable, Writer};
 use conicflow_messages::{MAX_PIXELS, MAX_SIDE_PX, finest_scale, is_too_far, quantise};
 
-/// Millimetres, the unit of integer depths in ROS (REP 118).
+/// Unit of integer depths in ROS (REP 118), in metres.
 const UNIT_M: f64 = 0.001;
 
 /// The encoding of a pixel.

@@ -12,6 +12,7 @@ const PACKAGE: &str = "conicflow_msgs";
 const SEPARATOR: &str = "================================================================================\n";
 /// The definition of the header of each message.
 const HEADER: &str = "MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n";
+/// The definition of the time in a header.
 const TIME: &str = "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n";
 
 /// Returns the name and the definition of the message type of the list `list`: besides the list it has the fields of `head`, and

@@ -85,9 +85,9 @@ impl Marked for Track {
 /// What happens to the markers of earlier messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Markers {
-    /// They are removed at once: a viewer that joins at any time shows only the present markers.
+    /// The markers are removed at once: a viewer that joins at any time shows only the present markers.
     Replace,
-    /// They stay until this age in nanoseconds; a marker with the same id moves without being removed first.
+    /// The markers stay until this age in nanoseconds; one with the same id moves without being removed first.
     Expire(u64),
 }
 

@@ -7,14 +7,17 @@ use conicflow_messages::{Object, ObjectKind};
 use nalgebra::Vector3;
 use std::f64::consts::{PI, TAU};
 
-/// x, y and z in metres, and the colour, which PCL and RViz expect as three bytes in a number of this name.
+/// Fields of a point: x, y and z in metres, and the colour, which PCL and RViz expect as three bytes in a number named `rgb`.
 const FIELDS: [&str; 4] = ["x", "y", "z", "rgb"];
+/// Size of a point in bytes.
 const POINT_BYTES: usize = 4 * FIELDS.len();
-/// Number of rings around an object, and of points per ring: enough to show the shape, few enough to see through.
+/// Number of rings around an object: enough to show the shape, few enough to see through.
 const RINGS: usize = 12;
+/// Number of points per ring: enough to show the shape, few enough to see through.
 const SIDES: usize = 24;
-/// Number of points from a moving object towards its position after `AHEAD_S` seconds.
+/// Number of steps from a moving object to its position after [`AHEAD_S`] seconds, each with a point.
 const STEPS: usize = 12;
+/// How far the motion of an object is shown ahead, in seconds.
 const AHEAD_S: f64 = 0.5;
 
 /// Encodes a message that shows these items in place of those of the message before.

@@ -6,8 +6,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// Maximum number of transforms in a message; robots have some hundred frames.
 const MOST_TRANSFORMS: u32 = 65_536;
-/// Maximum number of frames, and of live poses per frame: at 1000 Hz, the poses of four seconds.
+/// Maximum number of coordinate frames.
 const MOST_FRAMES: usize = 65_536;
+/// Maximum number of live poses per coordinate frame: at 1000 Hz, those of four seconds.
 const MOST_LIVE_POSES: usize = 4096;
 /// Tolerance of a quaternion's squared norm, which may be rounded to single precision or by hand.
 const UNIT_TOLERANCE: f64 = 1e-2;

@@ -67,11 +67,11 @@ pub struct End {
 /// Whether an endpoint publishes or subscribes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Way {
-    /// It publishes.
+    /// The endpoint publishes.
     Publish,
-    /// It subscribes, with a queue of this length; a full queue drops the oldest message.
+    /// The endpoint subscribes, with a queue of this length; a full queue drops the oldest message.
     Subscribe(usize),
-    /// It subscribes like that, and first gets the messages that were sent before (transient local).
+    /// The endpoint subscribes, with a queue of this length, and first gets the messages that were sent before (transient local).
     SubscribeLatched(usize),
 }
 

@@ -14,13 +14,14 @@ use std::marker::PhantomData;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-/// The indices of the endpoints.
+// The indices of the endpoints.
 const DETECTIONS: usize = 0;
 const MARKERS: usize = 1;
 const TRANSFORMS: usize = 2;
 
 /// How long the sink waits for the router when it starts, so that the first messages are not lost.
 const ROUTER_TIMEOUT: Duration = Duration::from_secs(1);
+/// How often the sink checks whether the router has answered when it starts.
 const ROUTER_CHECK_PERIOD: Duration = Duration::from_millis(10);
 /// The frame id of messages whose source has no name.
 const NAMELESS: &str = "camera";

@@ -35,13 +35,15 @@ const IMAGES_WAITING: usize = 4;
 const MOST_WITHOUT_POSE: usize = 18;
 /// Queue of transforms: those of some seconds.
 const TRANSFORMS_WAITING: usize = 4096;
-/// How long an image waits for its CameraInfo, and for the transforms of its time.
+/// How long an image waits for its CameraInfo.
 const CAMERA_INFO_TIMEOUT: Duration = Duration::from_secs(1);
+/// How long an image waits for the transforms of its time.
 const TRANSFORM_TIMEOUT: Duration = Duration::from_millis(200);
 /// After this time without an image, the source reports it.
 const REPORT_SILENCE_AFTER: Duration = Duration::from_secs(5);
-/// How often the source looks for an image while none comes, and while one waits.
+/// Longest wait for the next image in a step while no image waits for its camera or pose.
 const IMAGE_TIMEOUT: Duration = Duration::from_millis(50);
+/// Longest wait for the next image in a step while one waits for its camera or pose.
 const IMAGE_TIMEOUT_WHILE_ONE_WAITS: Duration = Duration::from_millis(5);
 /// The most topics that a hint names.
 const MOST_NAMED: usize = 8;

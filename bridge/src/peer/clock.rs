@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 /// How many seconds exchanges are remembered: a queue on the link, which delays one direction, rarely lasts longer.
 const SECONDS: u64 = 32;
-/// The largest drift between two clocks in that time, in nanoseconds.
+/// The largest drift between two clocks within [`SECONDS`], in nanoseconds.
 const DRIFT_NS: i64 = 10_000_000;
 
 /// The difference between two machines' clocks, from exchanges of heartbeats.

@@ -26,7 +26,7 @@ const DISCONNECTED_AFTER: Duration = Duration::from_millis(1500);
 /// A peer that has not come after this time is reported to the user.
 const REPORT_MISSING_AFTER: Duration = Duration::from_secs(5);
 
-/// A heartbeat reports this many sessions of a peer: the present one, one that is about to prove itself, and two more that
+/// Number of sessions of a peer that a heartbeat reports: the present one, one that is about to prove itself, and two more that
 /// a third party may replay. Replayed sessions displace one another, so a new session can still prove itself.
 const SESSIONS: usize = 4;
 
@@ -419,8 +419,8 @@ impl Peer {
     }
 
     /// Notes a heartbeat. Returns `None` if it is not later than another of its session, else whether its session is new. The
-    /// later heartbeat is the one that reports a later heartbeat of this bridge (sent at `reported_ns`); only if these are equal does
-    /// the peer's own time decide. So a forged time in the future does not block genuine heartbeats.
+    /// later heartbeat is the one that reports a later heartbeat of this bridge (sent at `reported_ns`); only if these are equal
+    /// does the peer's own time decide. So a forged time in the future does not block genuine heartbeats.
     fn note(&mut self, sample: ClockSample, reported_ns: Option<u64>) -> Option<bool> {
         let known = self.samples.iter().position(|known| known.session == sample.session);
         let last_told_ns = self.reported_ns.get(&sample.session).copied().unwrap_or_default();
@@ -439,8 +439,8 @@ impl Peer {
         Some(known.is_none())
     }
 
-    /// Whether a heartbeat counts that reports one sent from here at `reported_ns`: it belongs to the present session, or proves by
-    /// this report that its session is the present one. Another run has to wait until the present one is silent.
+    /// Whether a heartbeat counts that reports one sent from here at `reported_ns`: it belongs to the present session, or proves
+    /// by this report that its session is the present one. Another run has to wait until the present one is silent.
     fn believes(&mut self, heartbeat: &Heartbeat, reported_ns: u64, now: Instant) -> bool {
         let &Heartbeat { session, run, .. } = heartbeat;
         if self.session == Some(session) {

@@ -24,7 +24,7 @@ const ROBOT: usize = 0;
 const BASE: usize = 1;
 const READER: usize = 2;
 const WRITER: &str = "writer";
-/// Longer than any timeout.
+/// A time that is longer than any timeout.
 const LONG: Duration = Duration::from_secs(100);
 
 /// The part of the protocol that a trial leaves out, to check that the model detects it.
@@ -153,7 +153,7 @@ struct Receiver {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Reader {
     AtWork,
-    /// It was killed, and has not been restarted.
+    /// The reader was killed, and has not been restarted.
     Killed,
     Ended,
 }
@@ -387,7 +387,7 @@ impl Edge {
         let is_away = self.is_lossless() && self.reader == Reader::Killed;
         let base = self.base.as_mut()?;
         if base.has_ended || base.has_carried {
-            // It is not read any more.
+            // The base does not read the link any more.
             return self.link.pop_front().map(drop);
         }
         // A message waits until a lossless reader is back; an end does not.
@@ -753,7 +753,7 @@ fn where_the_newest_wins_no_order_of_events_brings_a_message_twice_or_keeps_a_ru
     }
 }
 
-/// The same with more messages and kills; takes minutes.
+/// Explores all orders of events with more messages and kills; takes minutes.
 #[test]
 #[ignore = "takes minutes"]
 fn no_longer_order_of_events_loses_anything_or_keeps_a_run_waiting() {

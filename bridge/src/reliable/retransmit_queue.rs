@@ -12,9 +12,10 @@ use std::time::{Duration, Instant};
 #[cfg(test)]
 use std::{fmt::Debug, hash::Hash};
 
-/// A message is retransmitted when it was not acknowledged after this time. The interval then doubles each time, up to a limit:
-/// the receiver may be slow and the link good.
+/// A message is retransmitted when it was not acknowledged after this time. The interval then doubles each time, up to
+/// [`LONGEST_RESEND_AFTER`]: the receiver may be slow and the link good.
 const RESEND_AFTER: Duration = Duration::from_millis(250);
+/// Longest interval between two retransmissions of a message.
 const LONGEST_RESEND_AFTER: Duration = Duration::from_secs(4);
 /// How long one end of an edge waits for the other at the end of a stream, if nothing else has to be waited for.
 pub(crate) const END_PATIENCE: Duration = Duration::from_secs(5);
@@ -199,7 +200,7 @@ impl RetransmitQueue {
         self.next += 1;
     }
 
-    /// Does the same for the end of a writer's stream, which is sent to each receiver until it acknowledges the end.
+    /// Counts and keeps the end of a writer's stream, which is sent to each receiver until it acknowledges the end.
     pub(crate) fn sent_end(&mut self, writer: &str, bytes: &[u8], now: Instant) {
         self.ends.push(End { writer: writer.to_owned(), number: self.next, bytes: bytes.to_vec() });
         self.sent(bytes, now);

@@ -9,11 +9,12 @@ use std::io;
 use std::os::unix::fs::FileExt;
 use std::path::PathBuf;
 
-/// The log keeps no more messages than this; when it is full, lossless writers wait.
+/// Maximum number of messages in the log; when it is full, lossless writers wait.
 pub(crate) const CAPACITY: usize = 64;
+/// Size of the messages in the log, in bytes, from which it counts as full.
 const CAPACITY_BYTES: usize = 16 << 20;
 
-/// A file begins with the length of the message in it, which is written last.
+/// Bytes at the beginning of a file for the length of the message in it, which is written last.
 const LENGTH: usize = size_of::<u64>();
 
 /// Messages, the oldest first.

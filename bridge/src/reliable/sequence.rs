@@ -20,28 +20,28 @@ const FARTHEST_BEHIND: u64 = CAPACITY as u64;
 
 /// A doubtful message is believed when it comes again after this time; the sender retransmits it by then, or soon after.
 const CONFIRMED_AFTER: Duration = Duration::from_millis(200);
-/// This many doubtful messages are remembered: more than a sender keeps.
+/// Number of doubtful messages that are remembered: more than a sender keeps.
 const MOST_DOUBTS: usize = 2 * CAPACITY;
 
 /// The receiver's decision on a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Verdict {
-    /// It is the next one.
+    /// The message is the next one.
     Take,
-    /// It came before.
+    /// The message came before.
     Old,
-    /// It is not its turn, or it has to come a second time; the sender retransmits all messages from the expected one on.
+    /// Another message comes first, or this one has to come a second time; the sender retransmits all from the expected one on.
     Early,
 }
 
 /// The fields of a message that decide whether it is taken.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Claim {
-    /// Its position in the stream.
+    /// Position of the message in the stream.
     pub position: StreamPosition,
     /// The session (start) of the bridge that sends it.
     pub session: u64,
-    /// Its number among those of the stage that wrote it, if it can be read.
+    /// Number of the message among those of the stage that wrote it, if it can be read.
     pub number: Option<u64>,
     /// Whether that number follows the last number known of that stage.
     pub follows: bool,
@@ -268,7 +268,7 @@ mod tests {
         }
     }
 
-    /// The same for an end.
+    /// The claim of an end of the stream.
     fn end(position: StreamPosition) -> Claim {
         Claim { may_be_repeated: true, ..claim(position) }
     }

@@ -25,9 +25,9 @@ use conicflow_ros2::{Distro, End, Participant, Published, Via, Way};
 const EMPTY: &str = "%";
 /// Humble's placeholder for the hash of a type.
 const NO_HASH: &str = "TypeHashNotSupported";
-/// Below the key of a topic, where subscribers without a memory backend get their messages.
+/// Part below the key of a topic at which subscribers without a memory backend get their messages.
 const OF_NO_MEMORY: &str = "_buf_cpu";
-/// Ends the token of a subscriber that takes messages there.
+/// Ends the token of a subscriber that takes messages at [`OF_NO_MEMORY`].
 const NO_MEMORY: &str = "/backends:cpu:";
 /// The number of our node in its session.
 const NODE: usize = 0;

@@ -42,11 +42,12 @@ const OPEN_AGAIN: Duration = Duration::from_secs(1);
 const ROUTER_CHECK_PERIOD: Duration = Duration::from_millis(100);
 /// Timeout for the answers of publishers.
 const ANSWER: Duration = Duration::from_secs(1);
-/// Number of publishers of a topic whose message numbers are compared; messages of others are accepted without that.
+/// Maximum number of publishers of a topic whose message numbers are compared; messages of further publishers are accepted
+/// without a comparison.
 const MOST_COMPARED: usize = 64;
-/// A longer step in a publisher's numbers does not count as lost messages: the publisher numbers differently.
+/// A step in a publisher's numbers that is longer than this does not count as lost messages: the publisher numbers differently.
 const LONGEST_STEP: u64 = 100_000;
-/// At most this many tokens are read.
+/// Maximum number of tokens that are read.
 const MOST_TOKENS: usize = 10_000;
 
 /// A participant that communicates over Zenoh.

@@ -12,7 +12,7 @@ pub const MAX_MESSAGE: usize = 8 << 20;
 /// Why bytes from another machine are refused.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum WireError {
-    /// They do not come from conicflow.
+    /// The bytes do not come from conicflow.
     #[error("bytes that do not come from conicflow\n  hint: who else publishes under this key?")]
     Foreign,
     /// The other side uses another version of the wire.
@@ -37,40 +37,40 @@ pub enum WireError {
         /// The layout of the other side.
         theirs: String,
     },
-    /// Their code is wrong: a third party made or changed them, or they belong to another topic.
+    /// The code is wrong: a third party made or changed the bytes, or they belong to another topic.
     #[error(
         "its code was not made with the key of this machine\n  hint: are the keys of all machines the same file? make one with \
          `conicflow key`, copy it, and name it in each machine's table as `key`. If they are, somebody else is on the link"
     )]
     WrongCode,
-    /// This side has a key, but they have no code.
+    /// This side has a key, but the bytes have no code.
     #[error(
         "it has no code, and this machine takes only what was made with its key\n  hint: give all machines the same `key`, \
          as `conicflow key` makes it, or all `insecure = true`. If they have it, somebody else is on the link"
     )]
     NoCode,
-    /// They have a code, but this side has no key.
+    /// The bytes have a code, but this side has no key.
     #[error(
         "it has a code, and this machine has no key\n  hint: give all machines the same `key`, as `conicflow key` makes it, \
          or all `insecure = true`"
     )]
     UnexpectedCode,
-    /// They claim something that the other machine cannot have sent.
+    /// The bytes claim something that the other machine cannot have sent.
     #[error(
         "it cannot have said that {0}\n  \
          hint: any machine that can connect can send; with the same `key` on all machines only these can"
     )]
     Impossible(&'static str),
-    /// They are too long.
+    /// The message is too long.
     #[error("a message of {bytes} bytes, allowed are {MAX_MESSAGE}\n  hint: send smaller images, or lists")]
     TooLong {
-        /// Their number.
+        /// Number of bytes.
         bytes: usize,
     },
-    /// They cannot be decoded, or a value cannot be encoded.
+    /// The bytes cannot be decoded, or a value cannot be encoded.
     #[error("broken bytes: {0}")]
     Broken(String),
-    /// They can be decoded, but the message is malformed.
+    /// The bytes can be decoded, but the message is malformed.
     #[error(transparent)]
     Malformed(#[from] Malformed),
 }

@@ -31,7 +31,9 @@ use serde::{Deserialize, Serialize};
 
 /// Version of the bytes between machines; machines of different versions refuse each other.
 pub const WIRE_VERSION: u16 = 5;
+/// First bytes of each message between machines.
 const MAGIC: [u8; 4] = *b"CFLO";
+/// Length of [`MAGIC`] and the version in bytes.
 const PREFIX: usize = MAGIC.len() + size_of::<u16>();
 
 /// The position of a message in the stream of its link.

@@ -22,7 +22,9 @@ const MAX_RESTARTS: u32 = 10;
 /// Time after which a process counts as having worked. A stage that dies once an hour is always restarted, one that dies every
 /// few seconds is not.
 const WORKED_WELL: Duration = Duration::from_secs(60);
+/// Pause before the first restart; it doubles with each further death in a row.
 const FIRST_BACK_OFF: Duration = Duration::from_millis(100);
+/// Longest pause before a restart. A program that has finished after at least this time counts as having worked.
 const LONGEST_BACK_OFF: Duration = Duration::from_secs(5);
 
 /// A program that has not joined the run this long after its start is reported: a stage joins when it has loaded what it needs.
@@ -45,9 +47,9 @@ enum State {
 pub(crate) enum Change {
     /// Nothing to act on.
     None,
-    /// It failed for good, and the run cannot go on.
+    /// The stage failed for good, and the run cannot go on.
     Lost,
-    /// It will not be restarted, as the pipeline file says; the others go on.
+    /// The stage will not be restarted, as the pipeline file says; the others go on.
     Left,
 }
 

@@ -18,9 +18,9 @@ use std::time::Duration;
 /// Environment variable: the user's folder, in place of the default.
 pub const RUNTIME_DIR: &str = "CONICFLOW_RUNTIME_DIR";
 
-/// Name of the plan's file, ...
+/// Name of the plan's file in the folder of a run.
 pub(crate) const PLAN: &str = "plan.json";
-/// ... and of the previous plan's after a change.
+/// Name of the file that keeps the previous plan after a change, to restore it.
 const PLAN_BEFORE: &str = "plan.json.kept";
 
 /// Stages end by themselves within this time after their launcher was killed.
@@ -220,7 +220,7 @@ impl RunFolder {
         self.lock_pausing(name, || sleep(Duration::from_millis(10)))
     }
 
-    /// The same; `pause` is called before each new attempt.
+    /// Locks the folder as [`Self::lock`] does; calls `pause` before each new attempt.
     fn lock_pausing(&self, name: &str, mut pause: impl FnMut()) -> Result<RunLock, FolderError> {
         let (path, file) = self.open_lock("lock")?;
         let run = RunLock { file: Locked(file), plan: self.path.join(PLAN) };

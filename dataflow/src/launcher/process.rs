@@ -164,11 +164,11 @@ fn alone(plan: &Plan, name: &str, options: &RunOptions) -> Result<Command, Proce
 
 /// Work of a stage's process.
 enum Work<'a> {
-    /// It runs a node of the table.
+    /// The process runs a node of the table.
     Node(&'static Variant),
-    /// It carries edges to other machines.
+    /// The process carries edges to other machines.
     Bridge(RunBridge, &'a BridgePlan),
-    /// It becomes a program, with these arguments.
+    /// The process becomes a program, with these arguments.
     Program(Vec<String>),
 }
 
@@ -353,7 +353,7 @@ fn become_program(plan: &Plan, planned: &PlannedStage, command: &[String]) -> Pr
         return ProcessError::NoNode(planned.name.clone());
     };
     if launcher().is_some() {
-        // It may not handle SIGTERM.
+        // The program may not handle SIGTERM.
         set_parent_process_death_signal(Some(Signal::KILL)).ok();
     }
     let error = Command::new(program).args(arguments).current_dir(&plan.base).exec();

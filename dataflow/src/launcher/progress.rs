@@ -5,7 +5,9 @@ use crate::log::CLEAR_LINE;
 use std::io::{IsTerminal, Write, stderr, stdin};
 use std::time::{Duration, Instant};
 
+/// Period of the progress on a terminal.
 const ON_A_TERMINAL: Duration = Duration::from_millis(250);
+/// Period of the progress in a log.
 const IN_A_LOG: Duration = Duration::from_secs(10);
 /// Window over which the rate is measured.
 const RATE_WINDOW: Duration = Duration::from_secs(2);

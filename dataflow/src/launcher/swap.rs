@@ -346,7 +346,7 @@ mod tests {
         (at_work(stage::<Object>()), run, Request { id: 1, stage: "stage".into(), plan })
     }
 
-    /// Advances a swap until it reaches such a step.
+    /// Advances a swap until it reaches a step for which `is_there` is true.
     fn go_on_to(swap: Swap, stage: &mut Supervised, state: &mut RunState<'_>, is_there: fn(&Step) -> bool) -> Swap {
         let (mut swap, begin) = (swap, Instant::now());
         while !is_there(&swap.step) {

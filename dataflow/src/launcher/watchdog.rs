@@ -22,9 +22,9 @@ pub(crate) struct Watchdog {
 /// Change found by a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum News {
-    /// The process has had no heartbeat for too long: this time.
+    /// The process has had no heartbeat for too long; holds the time since the last one.
     Hangs(Duration),
-    /// It has a heartbeat again after this time.
+    /// The process has a heartbeat again; holds the time without one.
     GoesOn(Duration),
 }
 

@@ -61,7 +61,7 @@ pub struct EdgeReport {
     pub direction: String,
     /// Number of messages sent, or received and passed on.
     pub messages: u64,
-    /// The same number per second.
+    /// Messages sent, or received and passed on, per second.
     pub rate_hz: f64,
     /// Bandwidth on the wire, in megabytes per second.
     pub bandwidth_mbps: f64,

@@ -44,7 +44,7 @@ pub(crate) type RunBridge = fn(&BridgePlan, BridgeRun<'_>, StageRuntime<SharedMe
 pub enum Carrier {
     /// This program.
     Here(RunBridge),
-    /// Another one, which takes the place of this process and calls `run_in_run`.
+    /// Another program, which takes the place of this process and calls `run_in_run`.
     Program(fn() -> Result<PathBuf, Hinted>),
 }
 

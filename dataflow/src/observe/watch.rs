@@ -245,7 +245,7 @@ impl RunningPipeline {
         self.watch_while(topics, || Watching::GoOn, see)
     }
 
-    /// The same, and calls `wants` regularly, even without messages, to ask whether to go on.
+    /// Watches topics as [`Self::watch`] does, and calls `wants` regularly, even without messages, to ask whether to go on.
     ///
     /// # Errors
     /// A topic cannot be read, or `see` failed.
@@ -378,7 +378,7 @@ mod tests {
 
     #[test]
     fn an_image_comes_before_the_list_that_was_made_of_it() {
-        // Both come between the poll of the images and that of the lists.
+        // Image and list come between the poll of the images and that of the lists.
         let arrives = |looks: usize, topics: &mut [VecDeque<u32>; 2]| {
             if looks == 1 {
                 topics.iter_mut().for_each(|topic| topic.push_back(7));

@@ -13,8 +13,9 @@ use crate::node::Node;
 use conicflow_messages::{Item, Nothing};
 use serde_json::{Map, Value as Json, json};
 
-/// Keys of the definitions in this schema, and in those of nodes.
+/// Key of the definitions in this schema.
 const DEFINITIONS: &str = "definitions";
+/// Key of the definitions in the schemas of nodes.
 const OF_NODE: &str = "$defs";
 
 /// Key of a stage that runs a program, and name of the schema of its table.

@@ -23,7 +23,7 @@ pub fn value_fault<T: JsonSchema>(name: &str, value: &Json) -> Option<Hinted> {
     fault_by(&schema_of::<T>(), name, value)
 }
 
-/// The same with an explicit schema.
+/// Returns the first fault of a value against a schema; errors call the value `name`.
 pub(crate) fn fault_by(schema: &Json, name: &str, value: &Json) -> Option<Hinted> {
     let mut checker = Checker { root: schema, faults: Vec::new() };
     checker.value(name, &Value::without_place(value), schema);

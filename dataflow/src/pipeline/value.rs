@@ -90,7 +90,7 @@ impl Table {
         }
     }
 
-    /// The same table without positions.
+    /// Converts the table to JSON, without the positions in the file.
     pub(crate) fn to_json(&self) -> serde_json::Value {
         let entries = self.0.iter().map(|entry| (entry.key.clone(), entry.value.to_json()));
         serde_json::Value::Object(entries.collect())
@@ -158,7 +158,7 @@ impl Value {
         })
     }
 
-    /// The same value without positions.
+    /// Converts the value to JSON, without the positions in the file.
     pub(crate) fn to_json(&self) -> serde_json::Value {
         match &self.content {
             Content::String(text) | Content::Datetime(text) => text.as_str().into(),

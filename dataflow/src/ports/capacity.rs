@@ -15,6 +15,7 @@ pub(crate) const SHARED_MEMORY: &str = "/dev/shm";
 pub(crate) const HELD: usize = 2;
 /// Number of messages that a writer has on loan.
 pub(crate) const LOANED: usize = 1;
+/// Size of a page in bytes.
 const PAGE: usize = 4096;
 /// Bytes that iceoryx2 needs for each pair of a writer and a reader, and for each port of a topic.
 pub(crate) const ROOM_PER_PORT: usize = 24 * 1024;

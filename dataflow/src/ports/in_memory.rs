@@ -25,8 +25,7 @@ impl InMemory {
         Self { topics: Arc::default(), stop, keeps: false }
     }
 
-    /// The same topics, with writers that keep unfinished messages for lossless readers, and resend them to the next reader of
-    /// the stage.
+    /// Topics whose writers keep unfinished messages for lossless readers, and resend them to the next reader of the stage.
     #[must_use]
     pub fn keeping(self) -> Self {
         Self { keeps: true, ..self }

@@ -479,7 +479,7 @@ mod tests {
         writer.loan::<Object>(3).unwrap();
         assert_eq!(writer.send(&Header::default()).unwrap(), 3, "items");
         assert!(other.receive().unwrap().is_some());
-        // The other topic's message does not wake this reader.
+        // The message that the other reader has taken is still there for this one, so the wait ends at once.
         reader.wait(Duration::from_secs(3600)).unwrap();
         assert_eq!(reader.receive().unwrap().unwrap().items::<Object>().len(), 3);
     }

@@ -22,16 +22,18 @@ use insufficient::enough;
 const HELD_FOR_FRAME: usize = MAX_KEPT + 1;
 /// Open files of a stage without topics: 16, with a margin for files of its own.
 const FILES_PER_STAGE: u64 = 24; // [measured]
-/// Open files for each topic of a stage: 6, and those for four onlookers; and for each stage at its other end.
+/// Open files of a stage for each of its topics: 6, and those for four onlookers.
 const FILES_PER_TOPIC: u64 = 18; // [measured]
+/// Open files of a stage for each reader and each writer of its topics.
 const FILES_PER_PEER: u64 = 3; // [measured]
-/// Open files of the network part, in addition to those for each machine that it communicates with, ...
+/// Open files of the network part, besides those for topics, for edges and for each machine that it communicates with.
 const FILES_OF_NETWORK: u64 = 64;
-/// ... and those in which it keeps messages of an edge until they are acknowledged.
+/// Open files in which the network part keeps the messages of a lossless edge until they are acknowledged.
 const FILES_PER_LOSSLESS_EDGE: u64 = 64; // [derived]
-/// Open files of a launcher without topics: 13, with a margin for files that it reads. For each topic it has three services open,
-/// each in two files (121 in all with 18 topics). For each stage that is a program it has one more.
+/// Open files of a launcher without topics: 13, with a margin for files that it reads. It has one more for each stage that is a
+/// program.
 const FILES_OF_LAUNCHER: u64 = 24; // [measured]
+/// Open files of a launcher for each topic: three services, each in two files (121 files in all with 18 topics).
 const FILES_PER_KEPT_TOPIC: u64 = 6; // [measured]
 
 /// Resources that a plan needs of its machine.

@@ -40,7 +40,7 @@ impl Kept {
         InputPort::new(reader, Delivery::Lossless, "objects", self.topic.writers.len())
     }
 
-    /// A driving input in such a process.
+    /// A driving input in a new process of the reading stage, which has received the kept messages.
     fn input(&mut self) -> InputPort<MemoryReader> {
         let mut input_port = self.side_input();
         input_port.drive("reader");

@@ -50,7 +50,7 @@ impl Handover {
     /// Removes the files of an earlier swap.
     pub(crate) fn clear(&self) {
         for path in [&self.first, &self.last] {
-            // They exist only if the stage was swapped before.
+            // The files exist only if the stage was swapped before.
             fs::remove_file(path).ok();
         }
     }
@@ -183,7 +183,7 @@ pub(super) mod tests {
         let look = |last: u32| looks.replace(looks.get() + 1) == last;
         assert!(!successor.await_turn(|| look(3)), "it is stopped");
         looks.set(0);
-        // Its turn comes after several checks.
+        // The successor's turn comes after several checks.
         let turn = successor.await_turn(|| {
             if look(3) {
                 (&launcher).write_all(b"t").unwrap();

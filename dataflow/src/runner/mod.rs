@@ -63,11 +63,11 @@ pub struct StageRuntime<T> {
     pub(crate) wiring: Wiring,
     /// Information for the stage at its start.
     pub context: Context,
-    /// The other stages of its run.
+    /// The other stages of the run.
     pub peers: Peers,
-    /// Its record.
+    /// Record of the stage.
     pub record: StatusFile,
-    /// Handover of its place to another process; `None` where it runs alone.
+    /// Handover of the stage's place to another process; `None` where it runs alone.
     pub(crate) handover: Option<Handover>,
     /// Set in a process that replaces another one of the same stage.
     pub(crate) successor: Option<Successor>,
@@ -80,10 +80,10 @@ pub struct StageRuntime<T> {
 /// Reason why a stage ended before its stream did.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
-    /// It could not be started; a restart would not help.
+    /// The stage could not be started; a restart would not help.
     #[error("{}", with_causes(&**.0))]
     Refused(StageError),
-    /// It failed at a frame.
+    /// The stage failed at a frame.
     #[error("at frame {frame}: {}", with_causes(&**.error))]
     Failed {
         /// The frame's sequence number.
@@ -91,7 +91,7 @@ pub enum RunError {
         /// Error of the stage.
         error: StageError,
     },
-    /// It failed on a frame, and would fail on the next one; a restart would not help.
+    /// The stage failed on a frame, and would fail on the next one; a restart would not help.
     #[error("at frame {frame}: {}", with_causes(&**.error))]
     Lasting {
         /// The frame's sequence number.
@@ -99,10 +99,10 @@ pub enum RunError {
         /// Error of the stage.
         error: StageError,
     },
-    /// It could not end its work after the last message; a restart would not help.
+    /// The stage could not end its work after the last message; a restart would not help.
     #[error("{}", with_causes(&**.0))]
     Unfinished(StageError),
-    /// Its ports failed.
+    /// The ports of the stage failed.
     #[error(transparent)]
     Port(#[from] PortError),
 }

@@ -191,7 +191,7 @@ impl<W: Writer> OutputPort<W> {
         self.end_each(&[end_of_stream(&self.last, self.stage, self.number)])
     }
 
-    /// The same in the name of stages of another machine.
+    /// Sends the ends of the streams of stages of another machine to all readers, and waits until they have taken everything.
     ///
     /// # Errors
     /// The transport failed.

@@ -168,7 +168,7 @@ fn a_reader_has_no_more_unfinished_messages_than_are_kept_for_it() {
     let mut trial = Trial::new(&[("sink", Delivery::Lossless), ("viewer", Delivery::Latest)], 0);
     let [mut reader, _viewer] = ["sink", "viewer"].map(|stage| trial.reader(stage));
     trial.stop.force();
-    // Those in the queue, and one being processed.
+    // The messages in the queue, and one being processed.
     (0..=QUEUE).for_each(|_| trial.send().unwrap());
     assert_eq!(trial.output_port.unfinished(), QUEUE + 1);
     assert!(matches!(trial.send(), Err(PortError::Stopped)), "it would wait");

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 const LONGEST_PERIOD_S: f64 = 1e9;
 /// A waiting source checks this often for a pause.
 const PAUSE_CHECK_PERIOD: Duration = Duration::from_millis(20);
-/// A longer wait for a stamp is logged, as an observer could take the run for stalled.
+/// A wait for a stamp that is longer than this is logged, as an observer could take the run for stalled.
 const LONG: Duration = Duration::from_secs(5); // [algorithmic]
 
 /// Timing that a source asks for.

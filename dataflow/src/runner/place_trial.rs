@@ -242,7 +242,7 @@ impl Trial {
         self.run_after::<Passing, R>(wiring, None, meanwhile)
     }
 
-    /// The same for a process that replaces another.
+    /// Runs the stage as [`Self::run`] does, in a process that replaces another if `successor` is given.
     pub(super) fn run_after<S: Stage, R>(
         &self,
         wiring: Wiring,

@@ -118,7 +118,7 @@ impl PulledSource {
     pub fn count(&mut self, name: &str, times: u64) {
         if times > 0 {
             self.place.record.status.count(name, times);
-            // It may count for a long time before it sends a message.
+            // The source may count for a long time before it sends a message.
             self.place.record.write();
         }
     }

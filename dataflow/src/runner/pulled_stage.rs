@@ -154,7 +154,7 @@ impl PulledStage {
         Ok(())
     }
 
-    /// Adds to a counter that the summary and `top` show.
+    /// Adds to a counter. `top` shows it, and the summary as for [`crate::Output::count`].
     pub fn count(&mut self, name: &str, times: u64) {
         if times > 0 {
             self.place.record.status.count(name, times);

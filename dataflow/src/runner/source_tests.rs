@@ -103,7 +103,7 @@ fn a_source_reads_its_side_inputs_before_each_message_and_finishes_what_it_has_r
     let trial = Trial::of("source");
     let side = topic("side", &["side"], "source", Delivery::Lossless);
     let mut writer = trial.writer(&side);
-    // Its stream begins once a reader is connected.
+    // The stream of the source begins once a reader is connected.
     let wiring =
         Wiring { side_inputs: vec![("newest".to_owned(), side)], output: Some(trial.output()), ..Wiring::default() };
     let (result, ()) = trial.run_source(wiring, None, || {

@@ -7,8 +7,8 @@ use conicflow_messages::{Header, Item, NoiseModel};
 /// the unit. A clock that starts with the first frame may reach such values, too, so they alone prove nothing.
 const UNITS: [(u64, u64, &str); 2] =
     [(1_000_000_000_000, 1_000_000, "milliseconds"), (1_000_000_000_000_000, 1000, "microseconds")]; // [derived]
-/// No camera takes 10,000 images a second: stamps that rise by less are in another unit. Chosen, with a wide margin on both
-/// sides.
+/// Stamps that rise by less than this from frame to frame are in another unit: no camera takes 10,000 images a second. Chosen,
+/// with a wide margin on both sides.
 const LEAST_RISE_NS: u64 = 100_000;
 
 /// Mistakes that were reported for a source, and the last stamp.

@@ -18,9 +18,11 @@ const TOP: f64 = 40.0;
 const BOTTOM: f64 = 410.0;
 /// Position where the legend begins, below the axes.
 const LEGEND: f64 = BOTTOM + 62.0;
-/// Height of a line of the legend, an upper estimate of a letter's width, and the width of the mark before the text.
+/// Height of a line of the legend.
 const LEGEND_STEP: f64 = 18.0;
+/// Upper estimate of the width of a letter.
 const LETTER: f64 = 7.0;
+/// Width of the mark before the text of an entry in the legend.
 const MARK: f64 = 32.0;
 /// Distance between dots at the same position, if they have bars.
 const ASIDE: f64 = 9.0;

@@ -12,7 +12,9 @@ use std::fmt;
 
 /// Ratio of the depths at which a bin ends and begins.
 const BIN_RATIO: f64 = 1.05;
+/// Depth at which the first bin begins, in metres; smaller depths are left out.
 const NEAREST_M: f64 = 0.05;
+/// Number of bins.
 const BINS: usize = 120; // up to 17 m
 /// Least number of variances in a bin.
 const FEWEST: usize = 20;
@@ -28,6 +30,7 @@ const STEEPEST: i32 = 3;
 const LARGEST_WEIGHT: f64 = 1000.0;
 /// Least ratio of the farthest to the nearest depth for which a growth is estimated.
 const LEAST_SPAN: f64 = 1.3;
+/// Distance of the knees that are tried in the fit, in metres.
 const KNEE_STEP_M: f64 = 0.02;
 
 /// Variances, binned by depth.

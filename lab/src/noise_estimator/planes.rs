@@ -15,8 +15,9 @@ use conicflow_messages::{Header, is_measured};
 use nalgebra::{Matrix3, Vector3};
 use std::fmt;
 
-/// Side of a window, and the distance of neighbouring windows, in pixels.
+/// Side of a window, in pixels.
 const WINDOW_PX: usize = 64;
+/// Distance of neighbouring windows, in pixels.
 const STRIDE_PX: usize = WINDOW_PX / 2;
 /// Lags of the autocorrelation, in pixels; the first is the variance.
 const LAGS: [usize; 6] = [0, 1, 2, 4, 8, 16];
@@ -24,10 +25,11 @@ const LAGS: [usize; 6] = [0, 1, 2, 4, 8, 16];
 const BANDS_M: [f64; 14] = [0.2, 0.4, 0.5, 0.6, 0.7, 0.8, 1.0, 1.3, 1.7, 2.2, 3.0, 4.0, 6.0, 10.0];
 /// Number of planes that are searched in a frame.
 const PLANES: usize = 2;
-/// Distance of the pixels used in the search for planes.
+/// Distance of the pixels used in the search for planes, in pixels.
 const GRID_PX: usize = 8;
+/// Number of triples of pixels that are tried for a plane.
 const TRIALS: u64 = 300;
-/// Largest distance of the three pixels of a trial, in grid points.
+/// Half the largest distance of the second and the third pixel of a trial from the first, in grid points.
 const TRIAL_REACH: f64 = 20.0;
 /// Largest residual of the inverse depth for a pixel to belong to any plane, in 1/metre: three sigmas of a stereo camera with a
 /// noise of 4 mm at 1 m.
@@ -36,8 +38,9 @@ const TRIAL_RESIDUAL_PER_M: f64 = 0.012;
 const LARGEST_RESIDUAL: f64 = 5.0;
 /// Least share of a frame's points that a plane has to explain.
 const LEAST_PLANE: f64 = 0.04;
-/// Least share of a window's pixels that are measured, and least share of these that are on the plane.
+/// Least share of a window's pixels that have to be measured.
 const LEAST_MEASURED: f64 = 0.9;
+/// Least share of a window's measured pixels that have to be on the plane.
 const LEAST_ON_PLANE: f64 = 0.99;
 /// Least number of frames to separate constant from new noise.
 const FEWEST_FRAMES: u32 = 5;

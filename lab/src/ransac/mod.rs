@@ -37,10 +37,10 @@ pub struct RansacParameters {
     /// Share w of a line's points that lie on an ellipse; the number of trials follows from it and `confidence`.
     #[schemars(range(min = 0.1, max = 0.99))]
     pub inlier_ratio: f64,
-    /// Largest distance of a point from an ellipse that it lies on, in standard deviations of the sensor ...
+    /// Largest distance of a point from an ellipse that it lies on, in standard deviations of the sensor.
     #[schemars(range(min = 0.1, max = 20.0))]
     pub max_distance_sigmas: f64,
-    /// ... plus this, for what the noise model leaves out, in metres.
+    /// Added to `max_distance_sigmas`, for what the noise model leaves out, in metres.
     #[schemars(range(min = 0.0, max = 0.1))]
     pub max_distance_floor_m: f64,
     /// Largest number of ellipses in a line.

@@ -62,7 +62,7 @@ pub struct Comparison {
 /// The reason why an answer is wrong about an object, the mildest first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Fault {
-    /// It is right, but another answer is nearer.
+    /// The answer is right, but another one is nearer.
     Second,
     /// The half-angle is off.
     HalfAngle,

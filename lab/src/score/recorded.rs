@@ -162,9 +162,9 @@ pub struct RecordedTruth {
     /// The objects of each frame, by the name of its file; `None` if they were not measured.
     by_frame: BTreeMap<String, Option<Vec<TrueObject>>>,
     everywhere: Option<Vec<TrueObject>>,
-    /// By the name of the frame's file: round things that were not measured, ...
+    /// Round things that were not measured, by the name of the frame's file.
     unmeasured: BTreeMap<String, Vec<PixelBox>>,
-    /// ... and things that tempt a detector.
+    /// Things that tempt a detector, by the name of the frame's file.
     not_wanted: BTreeMap<String, Vec<PixelBox>>,
 }
 

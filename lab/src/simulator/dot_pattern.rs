@@ -6,6 +6,7 @@ use crate::random::CounterRng;
 const TILE_PX: usize = 512;
 /// Cells per pixel, along each side.
 const CELLS: usize = 2;
+/// Cells along each side of the tile.
 const SIDE: usize = TILE_PX * CELLS;
 /// Brightness of the dimmest dot, relative to the brightest.
 const DIMMEST: f64 = 0.4;

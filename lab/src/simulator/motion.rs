@@ -80,12 +80,12 @@ pub struct WayPoint {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Then {
-    /// It stays there.
+    /// Stays at the last way point.
     #[default]
     Stay,
-    /// It starts again at the first one.
+    /// Starts again at the first way point.
     Repeat,
-    /// It goes back and forth along the path.
+    /// Goes back and forth along the path.
     Return,
 }
 

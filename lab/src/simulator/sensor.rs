@@ -92,7 +92,7 @@ impl SensorTable {
         ..Self::with(NoiseModel::KINECT_V1)
     };
 
-    /// Its depth image is that of the left camera; points that the right one does not see are not measured.
+    /// Stereo camera. The depth image is that of the left eye; points that the right eye does not see are not measured.
     const REALSENSE_D435: Self = Self {
         edge_jitter_px: 1.0,
         shadow_baseline_m: 0.05,
@@ -102,7 +102,7 @@ impl SensorTable {
         ..Self::with(REALSENSE_D435)
     };
 
-    /// Its light is next to the lens, so that there is no shadow.
+    /// Time-of-flight camera. The light is next to the lens, so that there is no shadow.
     const TIME_OF_FLIGHT: Self = Self {
         edge_jitter_px: 0.5,
         dropout_angle_deg: 75.0,

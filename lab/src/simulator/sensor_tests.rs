@@ -4,7 +4,7 @@ use super::*;
 use crate::rendered::{plane, sphere};
 
 const CAMERA: Camera = Camera { width: 320, height: 240, fx: 262.5, fy: 262.5, cx: 159.5, cy: 119.5 };
-/// A tenth of a millimetre, so that the pixels' rounding is far below the noise.
+/// Depth unit of a tenth of a millimetre, in metres, so that the pixels' rounding is far below the noise.
 const FINE: f64 = 1e-4;
 
 /// A plane through (0, 0, z), rotated about the camera's x axis.

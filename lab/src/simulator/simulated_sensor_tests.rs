@@ -5,7 +5,7 @@ use crate::rendered::plane;
 use nalgebra::Vector3;
 
 const CAMERA: Camera = Camera { width: 320, height: 160, fx: 525.0, fy: 525.0, cx: 159.5, cy: 79.5 };
-/// A tenth of a millimetre, so that the pixels' rounding is far below the noise.
+/// Depth unit of a tenth of a millimetre, in metres, so that the pixels' rounding is far below the noise.
 const FINE: f64 = 1e-4;
 const STEREO: SimulatedSensor = SimulatedSensor::Named(SensorKind::Stereo);
 const STRUCTURED_LIGHT: SimulatedSensor = SimulatedSensor::Named(SensorKind::StructuredLight);

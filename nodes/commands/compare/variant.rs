@@ -24,8 +24,9 @@ use tempfile::TempDir;
 
 /// Name of the stage that records.
 const RECORDER: &str = "compare";
-/// Types of the answers.
+/// Type of the answers of a pipeline that ends with objects.
 const OBJECTS: ItemType = ItemType::shown::<Object>();
+/// Type of the answers of a pipeline that ends with tracks.
 const TRACKS: ItemType = ItemType::shown::<Track>();
 
 /// Options for running variants.

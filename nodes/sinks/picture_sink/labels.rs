@@ -11,7 +11,7 @@ const PAD: i64 = 4;
 const STRIPE: i64 = 3;
 /// Distance of a label from its outline, in pixels.
 const GAP: i64 = 5;
-/// In pictures narrower than this, labels have one line.
+/// Width of a picture, in pixels, below which labels have one line.
 const NARROW_PX: i64 = 300;
 
 /// The text beside an outline.

@@ -40,7 +40,7 @@ pub struct Config {
     /// File for one moving picture (APNG) of everything that is drawn, up to 300 pictures, which browsers and README pages play;
     /// it is written at the end.
     pub moving: Option<PathBuf>,
-    /// Its width, in pixels; that of the pictures where they are narrower.
+    /// Width of the moving picture, in pixels; that of the pictures where they are narrower.
     #[schemars(range(min = 16, max = 1920))]
     pub moving_width_px: u32,
     /// Draw every so many frames, of each camera.

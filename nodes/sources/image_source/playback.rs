@@ -50,7 +50,7 @@ impl Playback {
         Self::open_with_progress(config, base, (resume_at, counted), &mut |_, _| ())
     }
 
-    /// Does the same as [`Playback::open`], and reports to `progress` the number of files seen and of all files.
+    /// Opens a recording as [`Playback::open`] does, and reports to `progress` the number of files seen and of all files.
     ///
     /// # Errors
     /// As for [`Playback::open`].

@@ -18,19 +18,20 @@ use std::fs::File;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
-/// Largest difference in time between a frame and a single pose, as in the tools of the TUM benchmark ...
+/// Largest difference in time between a frame and a single pose, as in the tools of the TUM benchmark.
 const MAX_APART_NS: u64 = 20_000_000;
-/// ... and between two poses that are interpolated: a hand moves a camera evenly over a tenth of a second.
+/// Largest difference in time between two poses that are interpolated: a hand moves a camera evenly over a tenth of a second.
 const MAX_GAP_NS: u64 = 100_000_000;
 
-/// Ending of 7-Scenes' files of poses, and name of TUM's.
+/// Ending of the files of poses in recordings of 7-Scenes.
 const OF_FRAME: &str = ".pose.txt";
+/// Name of the file of poses in recordings of TUM.
 const OF_TIMES: &str = "groundtruth.txt";
 
 /// The poses of a recording.
 #[derive(Debug, Default)]
 pub(super) enum Poses {
-    /// There are none.
+    /// There are no poses.
     #[default]
     Unknown,
     /// By the stem of the frame's name; `None` where the camera was lost.

@@ -66,7 +66,7 @@ impl Recording {
         Self::open_with_progress(path, config, &mut |_, _| ())
     }
 
-    /// Does the same as [`Recording::open`], and reports to `progress` the number of files seen and of all files.
+    /// Opens a recording as [`Recording::open`] does, and reports to `progress` the number of files seen and of all files.
     ///
     /// # Errors
     /// As for [`Recording::open`].

@@ -207,7 +207,7 @@ fn a_restart_counts_and_removes_only_what_its_own_run_has_recorded() {
     assert_eq!(write_one(&restart).unwrap(), Recorded::Written);
     assert_eq!(restart.finish().unwrap(), 2 * own);
     assert_eq!(length("run_5.mcap"), own);
-    // Its own files alone exceed the limit: the oldest of them is removed.
+    // The restarted run's own files alone exceed the limit: the oldest of them is removed.
     let restart = Recorder::create(&path, limits(2 * own), RUN + 1, true).unwrap();
     assert_eq!(write_one(&restart).unwrap(), Recorded::Written);
     assert!(!path.exists() && length("run_1.mcap") > own && length("run_4.mcap") > 0 && length("run_5.mcap") == own);

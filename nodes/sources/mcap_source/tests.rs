@@ -300,7 +300,7 @@ fn what_a_recording_cannot_play_is_known_before_it_is_played() {
     assert!(told.len() == 1 && told[0].starts_with("`topic`: several topics carry depth images: "), "{told:?}");
     let named: Vec<String> = faults(&two, topic(IMAGES));
     assert!(named.is_empty(), "{named:?}");
-    // Its lists may be meant.
+    // The user may mean the lists of a recording by conicflow.
     let place = RecordingFolder(tempfile::tempdir().unwrap());
     record(&place.0.path().join("run.mcap"), Limits::default(), 0.001, 0..2);
     let own =

@@ -42,7 +42,7 @@ const SENT: [[&str; 3]; 2] = [
         "RIHS01_b3dfd68ff46c9d56c80fd3bd4ed22c7a4ddce8c8348f2f59c299e73118e7e275",
     ],
 ];
-/// The same for what it subscribes to.
+/// Topic, type and type hash of what the robot subscribes to.
 const HEARD: [[&str; 3]; 2] = [
     [
         "/conicflow/tracks",

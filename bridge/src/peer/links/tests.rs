@@ -8,7 +8,7 @@ fn links_of(machine: &str, peer: &str, journal: Journal, secret: &LinkKey) -> Li
     links_with(machine, peer, journal, secret, Vec::new())
 }
 
-/// The same, with these edges.
+/// The links of a bridge with one peer, with these outgoing edges.
 fn links_with(machine: &str, peer: &str, journal: Journal, secret: &LinkKey, outgoing: Vec<Edge>) -> Links {
     let plan = BridgePlan { machine: machine.to_owned(), outgoing, ..BridgePlan::default() };
     let seal = Seal::new(Some(secret), journal.session());

@@ -18,6 +18,7 @@ use std::sync::Arc;
 /// Maximum length of the name of a pipeline, a stage or a machine, in bytes: headers have fields of fixed size for names, with a
 /// terminating zero.
 pub const MAX_STAGE_NAME: usize = 31;
+/// Maximum length of the name of a topic, in bytes.
 const MAX_TOPIC_NAME: usize = 63;
 pub const PIPELINE_KEYS: [&str; 6] = ["name", "machine", "item", "stage", "metrics", "experiment"];
 

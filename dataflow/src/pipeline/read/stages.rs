@@ -16,8 +16,8 @@ use std::path::{Path, PathBuf};
 pub const STAGE_KEYS: [&str; 8] = ["node", "program", "input", "inputs", "output", "machine", "restart", "env"];
 pub const RESTARTS: [(&str, Restart); 3] =
     [("never", Restart::Never), ("on_failure", Restart::OnFailure), ("always", Restart::Always)];
-/// Each stage is a process: on two cores 100 stages start, see a frame and end in 5 s, 400 in 42 s; 500 that run for 20 s take
-/// 147 s.
+/// Maximum number of stages. Each is a process: on two cores 100 stages start, see a frame and end in 5 s, 400 in 42 s; 500 that
+/// run for 20 s take 147 s.
 const MAX_STAGES: usize = 500;
 /// Prefix of the environment variables that tie a stage to its run.
 const OWN_VARIABLES: &str = "CONICFLOW_";
@@ -26,6 +26,7 @@ pub const HANG_S: RangeInclusive<f64> = 1.0..=86_400.0;
 /// Default time after its start within which a program has to join a lossless topic, which is blocked without it. Python loads a
 /// neural network within a minute on the computers of robots.
 pub const TIME_TO_JOIN_S: f64 = 120.0;
+/// Allowed `join_s`.
 pub const JOIN_S: RangeInclusive<f64> = 1.0..=86_400.0;
 const OUTPUT_EXAMPLE: &str = "output = { topic = \"found\", kind = \"objects\" }";
 const HANG_HINT: &str = "a stage without a sign of life for so long counts as dead";

@@ -32,7 +32,7 @@ pub(super) struct Acknowledgements {
 
 // SAFETY: the pointer refers to atomic words, which stay in place during the lifetime of this value.
 unsafe impl Send for Acknowledgements {}
-// SAFETY: as above.
+// SAFETY: all access through the pointer is to atomic words, which stay in place during the lifetime of this value.
 unsafe impl Sync for Acknowledgements {}
 
 impl Acknowledgements {

@@ -19,13 +19,13 @@ use std::path::{Path, PathBuf};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-/// Maximum time for which a killed process still holds its locks and files on a busy machine, or a process that checks for
-/// leftovers holds the lock.
+/// Maximum time for which a killed process on a busy machine still holds its locks and files, and for which a process that checks
+/// for leftovers holds the lock.
 const LETTING_GO: Duration = Duration::from_secs(1);
 
 const LOCK: &str = "lock";
 
-/// From Linux's `fcntl.h`; the `libc` crate does not have it.
+/// `F_SETSIG` of Linux's `fcntl.h`, which the `libc` crate does not have.
 const F_SETSIG: libc::c_int = 10;
 
 /// Prefix of all files of this program in shared memory.
@@ -104,7 +104,7 @@ impl Occupied {
         self.clean_up_within(LETTING_GO, || sleep(Duration::from_millis(1)))
     }
 
-    /// The same, with the time to wait for others, and a pause before each new attempt.
+    /// Cleans up as [`Self::clean_up`] does; waits up to `grace` for other processes, and calls `pause` before each new attempt.
     fn clean_up_within(&self, grace: Duration, mut pause: impl FnMut()) -> io::Result<()> {
         // To turn a shared lock into an exclusive one, a process has to release it first, and a process that checks for leftovers
         // may get it in between. Holders of a shared lock either use the folder, or check in the same moment and release it soon.
@@ -193,7 +193,8 @@ pub(super) fn open(path: &Path) -> io::Result<File> {
     OpenOptions::new().write(true).custom_flags(libc::O_NOFOLLOW | libc::O_NONBLOCK).open(path)
 }
 
-/// The same; `None` while another process holds the lease to check whether the file is in use, as all joining processes do.
+/// Opens a file as [`open`] does; `None` while another process holds the lease to check whether the file is in use, as all
+/// joining processes do.
 fn open_unless_held(path: &Path) -> io::Result<Option<File>> {
     match open(path) {
         Err(error) if error.kind() == ErrorKind::WouldBlock => Ok(None),

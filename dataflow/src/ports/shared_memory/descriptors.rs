@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 pub(crate) struct Descriptors(BTreeSet<i32>);
 
 impl Descriptors {
-    /// Those that are open now: they may be meant for child processes.
+    /// Returns the descriptors that are open now: they may be meant for child processes.
     pub(crate) fn now() -> Self {
         let listed = std::fs::read_dir("/proc/self/fd").into_iter().flatten().flatten();
         let numbers: Vec<i32> = listed.filter_map(|entry| entry.file_name().to_str()?.parse().ok()).collect();

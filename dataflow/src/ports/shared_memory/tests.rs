@@ -158,7 +158,7 @@ fn it_reads_until_it_is_killed() {
     let delivery = if env::var_os(ReadingProcess::LATEST).is_some() { Delivery::Latest } else { Delivery::Lossless };
     let _reader = open(Path::new(&root), "reader").reader::<u16>(&topic(delivery, 3), "reader").unwrap();
     println!("{}", ReadingProcess::READS);
-    // Its parent writes nothing, and closes the pipe at its own end at the latest.
+    // The parent process writes nothing, and closes the pipe at its own end at the latest.
     io::stdin().read_to_end(&mut Vec::new()).unwrap();
 }
 
@@ -168,7 +168,7 @@ fn what_was_sent_is_not_gone_with_its_writer_before_a_reader_looks_for_the_first
     let topic = lossless();
     let open = |stage: &str| open(folder.path(), stage).kept_in(folder.path());
     let _services = open("launcher").keep_services([&topic].into_iter()).unwrap();
-    // It has joined the topic, but has not received yet.
+    // The reader has joined the topic, but has not received yet.
     let mut reader = open("reader").reader::<u16>(&topic, "reader").unwrap();
     let (done, is_done) = channel();
     let (memory, waits) = watched(folder.path(), "writer", &Stop::default());
@@ -177,7 +177,7 @@ fn what_was_sent_is_not_gone_with_its_writer_before_a_reader_looks_for_the_first
         scope.spawn(|| {
             let mut writer = memory.writer::<u16>(&topic).unwrap();
             send_as_writer(&mut writer, 0);
-            // Its memory is cleaned up as after a kill.
+            // The writer's memory is cleaned up as after a kill.
             drop(writer);
             done.send(()).unwrap();
         });
@@ -228,7 +228,7 @@ fn what_a_lossless_reader_has_not_finished_is_handed_to_the_next_one_and_to_nobo
     assert_eq!(writer.unfinished("reader"), 0);
 }
 
-/// It needs a new segment, and messages in the old one may have to be resent to a restarted reader.
+/// A longer message needs a new segment, and messages in the old one may have to be resent to a restarted reader.
 #[test]
 fn a_longer_message_waits_until_what_came_before_it_is_finished() {
     let folder = tempfile::tempdir().unwrap();
@@ -316,7 +316,7 @@ fn a_reader_that_was_killed_is_cleared_away_by_a_writer_that_has_nothing_to_do()
     let mut writer = open(folder.path(), "writer").writer::<u16>(&topic(Delivery::Lossless, 3)).unwrap();
     process.kill();
     assert_eq!(writer.connected().len(), 1, "nobody has noticed it yet");
-    // It checks only after a wait without success, and may check too early.
+    // The writer checks only after a wait without success, and may check too early.
     assert!(until(|| !writer.wait(Duration::from_millis(1)) && writer.connected().is_empty()));
 }
 

@@ -82,8 +82,8 @@ fn lost(run: &Run, topic: usize) -> u64 {
     (0..run.memory.records[topic].sent).filter(|number| !worked_on.contains(number)).count() as u64
 }
 
-/// Number of messages that the reader has counted as lost. If its last process did not receive the end, the same as in
-/// `Summary::lost_by`.
+/// Number of messages that the reader has counted as lost; if its last process did not receive the end, the number that
+/// `Summary::lost_by` returns.
 fn counted(run: &Run, topic: usize) -> u64 {
     let (sent, counts) = (run.memory.records[topic].sent, &run.memory.records[topic + 1].counts);
     let never_came = if run.memory.topics[topic].is_end_heard { 0 } else { sent };
@@ -125,7 +125,7 @@ fn no_order_of_events_loses_anything_or_stands_still() {
     }
 }
 
-/// The same for larger trials, which take minutes.
+/// Explores all orders of events in larger trials, which take minutes.
 #[test]
 #[ignore = "takes minutes"]
 fn no_longer_order_of_events_loses_anything_or_stands_still() {

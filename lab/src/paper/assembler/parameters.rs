@@ -22,10 +22,10 @@ pub enum SectionFit {
 pub struct ProfileParameters {
     /// Sections as found by the extractor (`ellipse`, as in the paper) or of the axis ratio that the axis implies (`circle`).
     pub section_fit: SectionFit,
-    /// The paper's phi: largest distance of the centres of neighbouring ellipses, in metres ...
+    /// The paper's phi: largest distance of the centres of neighbouring ellipses, in metres.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub max_center_step_m: f64,
-    /// ... plus this many times their radius.
+    /// Added to `max_center_step_m`, in radii of the smaller ellipse.
     #[schemars(range(min = 0.0, max = 2.0))]
     pub max_center_step_radii: f64,
     /// The paper's k: number of neighbours that an ellipse is compared with, and of noisy ones that an object survives.
@@ -61,10 +61,10 @@ pub struct ProfileParameters {
     /// Smallest visible part of the circumference, in degrees.
     #[schemars(range(min = 0.0, max = 180.0))]
     pub min_arc_deg: f64,
-    /// Largest root mean square distance of the points from the surface, in standard deviations of the sensor ...
+    /// Largest root mean square distance of the points from the surface, in standard deviations of the sensor.
     #[schemars(range(min = 0.1, max = 20.0))]
     pub max_rms_sigmas: f64,
-    /// ... plus this many radii, for the error of the radius; no effect with `section_fit = "ellipse"`, whose error is known.
+    /// Added to `max_rms_sigmas`, in radii, for the error of the radius; no effect with `section_fit = "ellipse"`.
     #[schemars(range(min = 0.0, max = 0.5))]
     pub max_rms_radii: f64,
     /// Least root mean square distance of the points of a section from a straight line, in standard deviations of the

@@ -12,13 +12,13 @@ pub struct ConicParameters {
     /// sensor.
     #[schemars(range(min = 0.1, max = 20.0))]
     pub max_error_sigmas: f64,
-    /// Added to it, for what the noise model leaves out, in metres.
+    /// Added to `max_error_sigmas`, for what the noise model leaves out, in metres.
     #[schemars(range(min = 0.0, max = 0.1))]
     pub max_error_floor_m: f64,
-    /// A depth step ends a run beyond this many standard deviations of the sensor ...
+    /// Largest depth step within a run, beyond that of `jump_slope`, in standard deviations of the sensor.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub jump_sigmas: f64,
-    /// ... plus what a surface of this slope (depth per distance across the view) would step.
+    /// Slope of a surface (depth per distance across the view) whose depth steps never end a run.
     #[schemars(range(min = 0.1, max = 100.0))]
     pub jump_slope: f64,
     /// Fewest points of an ellipse.

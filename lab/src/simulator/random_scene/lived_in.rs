@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, Rotation3, Vector3};
 use std::f64::consts::TAU;
 use std::ops::RangeInclusive;
 
-/// Logarithms of the exponents of a superellipsoid, across and along.
+// Logarithms of the exponents of superellipsoids, across and along.
 const ROUND: [u32; 2] = [1, 1];
 const CUSHION: [u32; 2] = [2, 1];
 const BAG: [u32; 2] = [2, 2];
@@ -31,7 +31,8 @@ fn living_room(set: &mut Set) {
     set.enclose(2.8..=4.0, 0.5);
 }
 
-/// The same from afar, where a camera's depths show little of the deviation from round; and heads with hair, which are rounder.
+/// Adds lived-in things far away, where a camera's depths show little of the deviation from round; and heads with hair, which are
+/// rounder.
 pub fn hall(set: &mut Set) {
     for _ in 0..set.draws.count(0..=2) {
         let thing = set.large_thing();
