@@ -42,7 +42,7 @@ impl Live {
         let wanted = Arc::new(Mutex::new(Wanted { pipeline, depth_topic: None }));
         let live = Self { display, wanted, shown: Arc::default() };
         let (display, wanted, shown) = (Arc::clone(&live.display), Arc::clone(&live.wanted), Arc::clone(&live.shown));
-        thread::Builder::new().name("wishes".to_owned()).spawn(move || take_commands(&display, &wanted, &shown))?;
+        thread::Builder::new().name("commands".to_owned()).spawn(move || take_commands(&display, &wanted, &shown))?;
         let (display, shown) = (Arc::clone(&live.display), Arc::clone(&live.shown));
         thread::Builder::new().name("graph".to_owned()).spawn(move || show_graph(&display, &shown))?;
         Ok(live)

@@ -91,7 +91,7 @@ impl Stage {
         })
     }
 
-    /// Adds to a counter that the summary of the run shows.
+    /// Adds to a counter that `conicflow top` shows, and the summary with `--log debug` or where nothing was found.
     #[pyo3(signature = (name, times = None), text_signature = "($self, name, times=1)")]
     fn count(&self, py: Python<'_>, name: &str, times: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
         self.pulled.count(py, name, times)

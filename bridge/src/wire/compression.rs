@@ -10,7 +10,6 @@ const ZSTD_LEVEL: i32 = 1;
 // Each thread keeps its contexts: creating one takes longer than compressing a short list.
 thread_local! {
     static COMPRESSOR: RefCell<io::Result<Compressor<'static>>> = RefCell::new(Compressor::new(ZSTD_LEVEL));
-    /// The decompressor of this thread, which is kept: to make one takes longer than to unpack a short list.
     static DECOMPRESSOR: RefCell<io::Result<Decompressor<'static>>> = RefCell::new(Decompressor::new());
 }
 
