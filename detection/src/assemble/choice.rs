@@ -24,7 +24,8 @@ const UNKNOWN_HALF_ANGLE: f64 = 0.07; // [tuned]
 /// Standard deviation of a half-angle, in radians (1.5 degrees), beyond which a half-angle that exceeds zero by [`UNSURE_SIGMAS`]
 /// speaks against a cylinder, although it does not show a cone.
 const UNSURE_HALF_ANGLE: f64 = 0.026; // [tuned]
-/// Standard deviations by which such an uncertain half-angle exceeds zero.
+/// Standard deviations by which a half-angle with a sigma above [`UNSURE_HALF_ANGLE`] has to exceed zero to speak against a
+/// cylinder.
 const UNSURE_SIGMAS: f64 = 2.0; // [sigmas]
 
 /// The chosen shape.

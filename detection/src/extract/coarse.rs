@@ -15,7 +15,7 @@ const COARSE_STEP: u32 = 6; // [algorithmic]
 const OPENS_GAP_CHI2: f64 = 2.0; // [sigmas]
 /// Margin in pixels beyond both ends of an arc that is searched in the lines beside it.
 const SEARCH_MARGIN_PX: u32 = 16; // [tuned]
-/// The margin grows by the length of the arc divided by this.
+/// Length of an arc, in pixels, for which [`SEARCH_MARGIN_PX`] grows by one pixel.
 const SEARCH_MARGIN_DIVISOR: u32 = 4; // [tuned]
 
 /// Returns the distance between coarse lines if every `step`th line is searched at all.

@@ -5,7 +5,7 @@
 //! due to the noise of n points: `error^2 <= sigma^2 (a sqrt(2 / n) + b) + (0.1 mm)^2`.
 //!
 //! The files in the order of the steps: the noise of the image ([`noise_level`], [`noise_planes`]); the rows or columns of the
-//! image as rays ([`view`]), where columns are rows of the transposed image ([`turned`]), and much noise is averaged over
+//! image as rays ([`view`]), where columns are rows of the transposed image ([`transposed`]), and much noise is averaged over
 //! neighbouring lines ([`averaging`]); one line, split into runs at jumps and holes ([`line`]); the rays of a run, and its
 //! running sums ([`rays`], [`run`]); the segments of a run that one curve explains ([`segments`]); the arc of a segment, with its
 //! contour ([`arc`]); and the lines between the coarse ones ([`coarse`]). `Extractor::extract` in `method.rs` puts the steps

@@ -1,9 +1,10 @@
 //! Association of detections with tracks: the assignment of least total cost, by shortest augmenting paths (Jonker, Volgenant
 //! 1987) over the pairs within the gate only.
 
-/// The cost of a track that stays alone. As minus twice the logarithm of a density, in 1/m^4 over place and radius, less the
-/// 4 ln 2 pi that pairs leave out, too: one new object in 6000 cubic metres for each metre of radius, so that all but the
-/// vaguest pairs are cheaper. An axis adds nothing: it may lie anywhere in 2 pi, which is what pairs leave out of it.
+/// Cost of a track without a detection, on the scale of the pairs: one new object in 6000 m^3 for each metre of radius, so that
+/// all but the vaguest pairs are cheaper. The scale is minus twice the logarithm of a density over place and radius, in 1/m^4,
+/// less 4 ln 2 pi, which pairs leave out, too. An axis adds nothing: it may lie anywhere in 2 pi, the factor that pairs leave
+/// out.
 const COST_ALONE: f64 = 10.0; // [tuned]
 
 /// Pairs tracks with detections, each at most once.

@@ -2,9 +2,9 @@
 //! Kirubarajan 2001, section 11.6.6). How an object moves is not known beforehand: it stands or moves evenly, is carried, is
 //! thrown about, or falls. Each of these is a model with its own filter, and the detections determine the probability of each.
 //!
-//! An object that is seen starts to follow a new model at the rate `r`, any of the `n` that it may follow. So after `dt` seconds
-//! model `j` has the probability `c_j = s w_j + (1 - s) / n` with `s = exp(-r dt)`, and its filter continues from a mixture of
-//! its own motion, of weight `s w_j`, and of the mean over all models. A detection `z` then gives `w_j ~ c_j N(z; H x_j, S_j)`.
+//! An object that is seen starts to follow a new model at the rate `r`, any of the `N` that it may follow. So after `dt` seconds
+//! model `j` has the probability `c_j = h w_j + (1 - h) / N` with `h = exp(-r dt)`, and its filter continues from a mixture of
+//! its own motion, of weight `h w_j`, and of the mean over all models. A detection `z` then gives `w_j ~ c_j N(z; H x_j, S_j)`.
 
 use super::ballistic::Ballistic;
 use super::detection::Detection;
