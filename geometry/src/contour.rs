@@ -35,9 +35,9 @@ const LEAST_ALONG: f64 = 0.3; // [algorithmic]
 pub struct ContourPoint {
     /// A point on the ray, in the camera frame.
     pub ray: Vector3,
-    /// Its change per pixel along the scan line.
+    /// Change of `ray` per pixel along the scan line.
     pub pixel: Vector3,
-    /// Its change per pixel from scan line to scan line.
+    /// Change of `ray` per pixel from scan line to scan line.
     pub across: Vector3,
     /// 0 for the first pixel of the line, 1 for the last.
     pub side: usize,

@@ -142,7 +142,7 @@ mod tests {
         upright_before(&[], slope)
     }
 
-    /// The same with other bodies.
+    /// The arcs of such an upright body together with other bodies, and the indices of those in rows of its middle.
     fn upright_before(others: &[Shape], slope: f64) -> (Arcs, Vec<usize>) {
         let center = Vector3::new(0.0, 0.0, 2.0);
         let body = frustum(center, Vector3::y(), 0.2, slope, 0.7);

@@ -97,7 +97,7 @@ struct NewShare {
     /// Sum of squared differences between an image and the mean over those before, in units of their variance if everything were
     /// new in each image.
     squares: f64,
-    /// Number of such differences.
+    /// Number of differences in `squares`.
     pairs: f64,
 }
 

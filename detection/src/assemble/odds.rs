@@ -18,7 +18,7 @@ const MOST_OUTLINE: f64 = 5.0; // [tuned]
 const MOST_LENGTH: f64 = 3.0; // [tuned]
 /// Upper bound of the mean square residual, in variances: where there is almost no noise, any residual is many variances.
 const MOST_RESIDUAL: f64 = 2.0; // [tuned]
-/// Added to standard deviations in radii, so that their logarithms stay finite.
+/// Amount that is added to standard deviations in radii, so that their logarithms stay finite.
 const LEAST_SIGMA: f64 = 0.003; // [tuned]
 /// A surface beyond an end counts as the same surface while its arcs are within this mean distance of the object's surface, in
 /// radii. With 0.1, 0.2, 0.3 and 0.4, and a weight fitted to each, 108, 90, 79 and 74 wrong candidates of `cargo bench --bench

@@ -324,8 +324,8 @@ fn lengths_are_neither_too_long_nor_too_short() {
     assert!(mean.abs() < 0.002 && most < 2.0, "mean {mean} m, at most {most} sigmas off");
 }
 
-/// Through the mouth of a cup so small that its inside looks flat, lines beyond the near rim show the far wall: of the same surface,
-/// and 2 cm farther along the axis.
+/// The cup is so small that its inside looks flat. Lines beyond its near rim show the far wall through its mouth, which belongs
+/// to the same surface, 2 cm farther along the axis.
 #[test]
 fn a_cup_ends_at_its_near_rim() {
     let axis = Vector3::new(0.0, -0.87, -0.5).normalize();
@@ -411,7 +411,7 @@ pub(super) fn arcs_of(bodies: &[Shape]) -> Arcs {
     arcs_by(KINECT_HALF, NoiseModel::KINECT_V1, bodies)
 }
 
-/// The same as another camera sees it.
+/// The arcs of a scene as a camera with this noise sees it.
 pub(super) fn arcs_by(camera: Camera, noise: NoiseModel, bodies: &[Shape]) -> Arcs {
     let (header, pixels) = render(camera, noise, bodies, 1);
     let mut arcs = Arcs::default();

@@ -126,7 +126,8 @@ impl Averaging {
         }
     }
 
-    /// Computes the same for a batch of pixels, from differences in integers, of which processors handle eight at a time.
+    /// Averages a batch of pixels as [`Self::average`] does, from differences in integers, of which processors handle eight at a
+    /// time.
     #[inline]
     fn average_batch(
         &self,

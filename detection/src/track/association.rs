@@ -25,8 +25,9 @@ impl Association {
         self.track_of.resize(detections, None);
     }
 
-    /// Asks for the cost of each pair of a free track and a free detection, and joins those whose costs, with those of the
-    /// tracks that stay alone, have the least sum. A second call, with another cost, pairs what the first has left.
+    /// Pairs free tracks with free detections so that the sum of the costs of all pairs and of all tracks without a detection is
+    /// least; `cost` of a track and a detection is `None` where they cannot be paired. A second call, with another cost, pairs
+    /// those that the first left free.
     pub fn assign(&mut self, cost: impl Fn(usize, usize) -> Option<f64>) {
         let tracks: Vec<_> = free(&self.detection_of).collect();
         let detections: Vec<_> = free(&self.track_of).collect();
@@ -44,12 +45,12 @@ impl Association {
         }
     }
 
-    /// The detection of each track.
+    /// Returns the detection of each track.
     pub fn detections(&self) -> &[Option<usize>] {
         &self.detection_of
     }
 
-    /// The detections that belong to no track.
+    /// Returns the detections that belong to no track.
     pub fn unclaimed(&self) -> impl Iterator<Item = usize> + '_ {
         free(&self.track_of)
     }

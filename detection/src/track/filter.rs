@@ -13,7 +13,7 @@ use nalgebra::{Cholesky, Matrix3, Matrix6, Matrix6x3, Rotation3, U3, UnitVector3
 pub struct Motion {
     /// Position in metres, then velocity in metres per second.
     pub state: Vector6<f64>,
-    /// Its covariance.
+    /// Covariance of `state`.
     pub covariance: Matrix6<f64>,
     /// The known acceleration, in m/s^2.
     pub acceleration: Vector3<f64>,
@@ -165,9 +165,9 @@ impl Innovation {
 /// A size that hardly changes: a random walk.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Size {
-    /// The estimate.
+    /// Estimate of the size.
     pub value: f64,
-    /// Its variance.
+    /// Variance of the estimate.
     pub variance: f64,
 }
 

@@ -33,7 +33,7 @@ pub struct Target {
     at_ns: i128,
     /// The shape as which it was seen most often.
     pub kind: ObjectKind,
-    /// Its life cycle: how long and how often it was seen.
+    /// Life cycle of the track: how long and how often it was seen.
     pub life: Life,
     votes: [u32; ObjectKind::ALL.len()],
     motions: Motions,

@@ -22,7 +22,7 @@ struct Frame {
     epoch: u64,
     sequence: u64,
     stamp_ns: u64,
-    /// Its stamp in the shared time.
+    /// Stamp of the frame in the shared time.
     at_ns: i128,
     /// Time since the frame before; `None` for the first.
     period_ns: Option<i128>,
