@@ -60,9 +60,9 @@ pub struct ContourNoise {
 /// pixels and share of the radius of the first side, then of the last.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ContourBias {
-    /// Expectation.
+    /// Expectation of the bias.
     pub mean: Vector4<f64>,
-    /// Covariance.
+    /// Covariance of the bias.
     pub covariance: Matrix4<f64>,
 }
 
@@ -85,11 +85,11 @@ pub struct Contour {
 #[derive(Clone, Copy, Debug)]
 struct ModelledPoint {
     point: ContourPoint,
-    /// Whether it is near the contour of the surface.
+    /// Whether the point is near the contour of the surface.
     used: bool,
-    /// Cosine between the scan line and the normal of the outline there.
+    /// Cosine between the scan line and the normal of the outline at the point.
     along: f64,
-    /// Radius of curvature of the surface there, along the view, in pixels of the line.
+    /// Radius of curvature of the surface at the point, along the view, in pixels of the line.
     radius_px: f64,
     /// Expected error along the line, in pixels, and its variance.
     expected: f64,
@@ -101,7 +101,7 @@ struct ModelledPoint {
 pub struct ContourTerm<const N: usize> {
     /// Weighted sum of squares.
     pub square_sum: f64,
-    /// Half the gradient of that sum.
+    /// Half the gradient of `square_sum`.
     pub gradient: SVector<f64, N>,
     /// Gauss-Newton matrix.
     pub matrix: SMatrix<f64, N, N>,

@@ -16,7 +16,7 @@ pub struct Regression {
 pub struct Fit {
     /// Mean of x, where `value` is known best.
     pub middle: f64,
-    /// y there.
+    /// Value of y at `middle`.
     pub value: f64,
     /// Change of y with x.
     pub slope: f64,

@@ -105,7 +105,7 @@ impl Default for SpaceMoments {
 pub struct QuadricMoments {
     /// The mean of the points.
     pub origin: Vector3,
-    /// Their standard deviation in space.
+    /// Standard deviation of the points in space.
     pub scale: f64,
     /// `sum m m'` over points `(p - origin) / scale`.
     pub matrix: [[f64; QUADRIC_TERMS]; QUADRIC_TERMS],

@@ -67,7 +67,7 @@ pub(crate) struct ContourCalibration {
     camera: Camera,
     /// Evidence of each object of recent images.
     recent: Vec<ObjectEvidence>,
-    /// Share of that evidence that is new in each image.
+    /// Share of the evidence of an object that is new in each image.
     new_share: NewShare,
     /// Evidence of objects that are no longer in `recent`, in rows and in columns.
     before: [ContourEvidence; 2],
@@ -81,9 +81,9 @@ struct ObjectEvidence {
     /// The object as it was last seen.
     object: Object,
     direction: usize,
-    /// Mean over its images.
+    /// Mean evidence over the images of the object.
     learned: ContourEvidence,
-    /// Number of its images, where old ones count less.
+    /// Number of images of the object, where old ones count less.
     images: f64,
     images_ago: u32,
     /// Weight that is left of the evidence, from 1 to 0.
@@ -154,9 +154,9 @@ pub struct ContourErrors {
     pub objects: f64,
     /// Bias where lines begin (left, or at the top), and where they end.
     pub sides: [SideErrors; 2],
-    /// Standard deviation of a contour point along its line: a part in pixels and a part in radii of curvature.
+    /// Standard deviation of a contour point along its line: the part in pixels.
     pub scatter_px: f64,
-    /// See `scatter_px`.
+    /// Standard deviation of a contour point along its line: the part in radii of curvature.
     pub scatter_share: f64,
 }
 
@@ -167,7 +167,7 @@ pub struct ContourErrors {
 pub struct SideErrors {
     /// Number of contour points behind the estimate, weighted as objects are.
     pub points: f64,
-    /// Their mean radius of curvature, in pixels; 0 without points.
+    /// Mean radius of curvature at the contour points, in pixels; 0 without points.
     pub radius_px: f64,
     /// Offset and its standard deviation, in pixels.
     pub offset_px: [f64; 2],

@@ -40,8 +40,8 @@ pub(crate) struct Gate {
     /// Standard deviations by which the mean, and the mean square less that of the noise, may differ from zero, given the noise
     /// and the uncertainty of the model.
     scatter: f64,
-    /// Mean square by which the surface may differ from its model in addition, in variances of a point. All points of an arc may
-    /// be off alike, so the mean may be off by the root of it.
+    /// Mean square by which the surface may differ from its model besides the noise, in variances of a point. All points of an
+    /// arc may be off alike, so the mean may be off by the root of it.
     slack: f64,
 }
 
@@ -147,7 +147,7 @@ struct Start<'a> {
 /// Result of a growth.
 struct Growth {
     pub grown: Result<Model, Rejection>,
-    /// Whether its first model explained the whole chain.
+    /// Whether the first model of the growth explained the whole chain.
     pub from_whole: bool,
 }
 

@@ -47,7 +47,7 @@ pub struct Evidence {
     pub length_radii: f64,
     /// Share of its two ends across the scan lines beyond which any surface continues.
     pub continued: f64,
-    /// How far beyond these ends a surface continues that departs from its own only slowly, in radii: the smaller of both, then
+    /// How far beyond its two ends a surface continues that departs from its own only slowly, in radii: the smaller of both, then
     /// the larger.
     pub beyond_radii: [f64; 2],
     /// Logarithm of the probability of its being round over that of its being some quadric near the shape (see `round.rs`).

@@ -28,7 +28,7 @@ pub(crate) fn coarse_step(step: u32) -> u32 {
 pub(crate) struct CoarseLines {
     /// The arcs in the order of line and pixel.
     arcs: Vec<Ellipse>,
-    /// Whether each is curved.
+    /// Whether each arc is curved.
     curved: Vec<bool>,
     /// The end of each line's arcs in `arcs`.
     ends: Vec<usize>,

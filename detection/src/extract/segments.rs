@@ -22,11 +22,11 @@ const BORDER_STEPS: [usize; 6] = [32, 16, 8, 4, 2, 1]; // [algorithmic]
 /// An interval of a run that one curve explains.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Segment {
-    /// The part of the run between two creases in which it lies, without the ends of the run.
+    /// The part of the run between two creases in which the interval lies, without the ends of the run.
     pub part: [usize; 2],
     pub from: usize,
     pub to: usize,
-    /// Whether it may be an arc: no line explains it, or it is the whole part and not too wide.
+    /// Whether the interval may be an arc: no line explains it, or it is the whole part and not too wide.
     pub is_curve: bool,
 }
 

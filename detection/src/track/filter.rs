@@ -212,9 +212,9 @@ fn joseph(gain: f64, variance: f64, noise: f64) -> f64 {
 /// A direction that turns slowly: a filter in the plane tangent to the unit sphere, with the same variance all around.
 #[derive(Clone, Copy, Debug)]
 pub struct Axis {
-    /// The estimate.
+    /// Estimate of the direction.
     pub direction: UnitVector3<f64>,
-    /// Variance along each of the two directions across it, in square radians: half of the mean square angle.
+    /// Variance along each of the two directions across `direction`, in square radians: half of the mean square angle.
     pub variance: f64,
 }
 

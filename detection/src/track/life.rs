@@ -8,7 +8,7 @@ use conicflow_messages::TrackState;
 pub struct Life {
     /// Frames since the first detection; those of other cameras count only if they had a detection.
     pub age: u32,
-    /// Frames without a detection since the last one, of the camera that had it.
+    /// Frames without a detection since the last detection, of the camera that had it.
     pub misses: u32,
     /// Time from the last detection to the last frame, in seconds.
     pub unseen_s: f64,

@@ -53,7 +53,7 @@ impl Manner {
 #[derive(Clone, Debug)]
 struct Model {
     manner: Manner,
-    /// 0 where the object cannot move in this manner.
+    /// Probability that the object moves in this manner; 0 if it cannot.
     probability: f64,
     motion: Motion,
 }
@@ -61,7 +61,7 @@ struct Model {
 /// The fall of a ball.
 #[derive(Clone, Copy, Debug)]
 pub struct Fall {
-    /// Gravity, and the floor on which it bounces.
+    /// Gravity, and the floor on which the ball bounces.
     pub ballistic: Ballistic,
     /// The radius of the ball, in metres.
     pub radius: f64,

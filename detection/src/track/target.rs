@@ -31,7 +31,7 @@ pub struct Target {
     id: u64,
     /// Time of the state: that of the newest frame taken in, in nanoseconds.
     at_ns: i128,
-    /// The shape as which it was seen most often.
+    /// Kind as which the object was seen most often.
     pub kind: ObjectKind,
     /// Life cycle of the track: how long and how often it was seen.
     pub life: Life,
@@ -43,9 +43,9 @@ pub struct Target {
     sense: u32,
     common: CommonError,
     last_seen: Object,
-    /// The source that saw it last.
+    /// Source that saw the object last.
     pub seen_by: usize,
-    /// Time of that sighting, in nanoseconds.
+    /// Time when `seen_by` saw the object, in nanoseconds.
     seen_at_ns: i128,
 }
 
