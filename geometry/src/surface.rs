@@ -14,7 +14,7 @@ pub trait Surface<const N: usize>: Copy {
     /// Coefficients of F.
     fn coefficients(&self) -> Coefficients;
 
-    /// Their derivatives by the parameters.
+    /// Derivatives of the coefficients of F by the parameters.
     fn derivatives(&self) -> [Coefficients; N];
 
     /// Returns the surface whose parameters differ by `step`; `None` where there is no such surface.

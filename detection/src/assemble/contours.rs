@@ -283,7 +283,7 @@ impl ObjectEvidence {
         self.images = images;
     }
 
-    /// Evidence of all its images together, with the weight that they have.
+    /// Returns the evidence of all images of the object together, with their weight.
     fn counted(&self, new_share: &NewShare) -> ContourEvidence {
         let Self { learned, images, kept, .. } = *self;
         learned.times(kept * new_share.count(images))

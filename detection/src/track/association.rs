@@ -17,7 +17,7 @@ pub struct Association {
 }
 
 impl Association {
-    /// Forgets all pairs.
+    /// Removes all pairs, and sets the numbers of tracks and of detections.
     pub fn reset(&mut self, tracks: usize, detections: usize) {
         self.detection_of.clear();
         self.detection_of.resize(tracks, None);
