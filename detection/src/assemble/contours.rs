@@ -484,8 +484,9 @@ mod tests {
         assert_eq!(points(&contours), None);
     }
 
-    /// Radius and distance of the ball in `ball`.
+    /// Radius of the ball in `ball`, in metres.
     const RADIUS: f64 = 0.2;
+    /// Distance of the ball in `ball`, in metres.
     const DISTANCE: f64 = 1.5;
 
     /// The arcs of a ball before a wall, and the indices of those in rows or columns that lie on the ball.

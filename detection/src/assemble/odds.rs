@@ -140,8 +140,9 @@ mod tests {
     use conicflow_lab::rendered::{KINECT_HALF, cylinder, frustum};
     use conicflow_lab::simulator::shapes::Shape;
 
-    /// Height and radius of the can in `beyond`, in metres.
+    /// Height of the can in `beyond`, in metres.
     const HEIGHT: f64 = 0.24;
+    /// Radius of the can in `beyond`, in metres.
     const RADIUS: f64 = 0.2;
 
     /// Evidence of some object.
