@@ -23,7 +23,7 @@ pub struct Detector {
     assembler: Assembler,
     /// An image that came in metres, converted to units.
     units: Vec<u16>,
-    /// Number of its pixels that were beyond the range of units.
+    /// Number of pixels beyond the range of units, in the last image that came in metres.
     too_far: u64,
     /// Whether each image is processed as if it were the first.
     alone: bool,

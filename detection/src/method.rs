@@ -14,7 +14,6 @@ use crate::assemble::seeds::Seeds;
 use crate::assemble::verify::verify_all;
 use crate::assemble::{Assembler, AssemblerParameters, Rejection, Rejections};
 use crate::extract::coarse::coarse_step;
-
 use crate::extract::noise_estimate::NoiseEstimate;
 use crate::extract::transposed::transposed;
 use crate::extract::{ArcRejections, Extractor, noise_level, noise_planes};
@@ -67,8 +66,8 @@ impl Extractor {
         let Self { noise, view, search, coarse, columns, ellipses, rejections, .. } = self;
 
         // 2. View: the rows, or the columns, become planes of rays; the largest step within one surface follows from the noise
-        //    (`view.rs`). Columns are the rows of the transposed image (`transposed.rs`). Where noise hides the steps between surfaces,
-        //    neighbouring lines are averaged (`averaging.rs`).
+        //    (`view.rs`). Columns are the rows of the transposed image (`transposed.rs`). Where noise hides the steps between
+        //    surfaces, neighbouring lines are averaged (`averaging.rs`).
         view.set_up(header, scan, noise);
         let image = if scan == Scan::Row { image } else { transposed(image, view.lines as usize, columns) };
         let (step, coarse_step) = (view.step, coarse_step(view.step));
@@ -116,7 +115,8 @@ impl Assembler {
             let found = object_around(seed, arcs, seeds, grower, contours, parameters);
             match found.and_then(|chosen| decide(chosen, objects, candidates, seeds, contours, parameters)) {
                 Ok(()) => continue,
-                // Blobs of noise are the most strongly curved, and cost no fit: they do not count as failed growth.
+                // Too few lines: most such chains are blobs of noise, which are the most strongly curved and mostly cost no fit.
+                // They do not count as failed growth.
                 Err(Rejection::FewRows) => {
                     rejections.count(Rejection::FewRows);
                     seeds.exclude(&grower.chain);

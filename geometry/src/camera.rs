@@ -86,7 +86,7 @@ impl ScanPlane {
         Self { scan, slope, stretch: slope.hypot(1.0) }
     }
 
-    /// The direction of its scan line.
+    /// Direction of the scan line of the plane.
     pub fn scan(&self) -> Scan {
         self.scan
     }

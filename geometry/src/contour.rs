@@ -8,8 +8,8 @@
 //! Sensors put contours systematically too far in (pixels at grazing incidence are lost) or too far out (silhouettes are
 //! smeared). If the surface is lost at one angle of incidence, the lost band is a share p of the radius of curvature r that the
 //! surface has there along the view. So the outline of one side is off by an offset o and by p r, both across the outline. Along
-//! a line whose cosine to the normal of the outline is c, the error is `e_i = (o + p r_i) / c_i + noise`. With `U = [1, r_i] /
-//! c_i` for each side, the weights w of the points, and the prior of o and p (its expectation is subtracted from e, its
+//! a line whose cosine to the normal of the outline is g, the error is `e_i = (o + p r_i) / g_i + noise`. With `U = [1, r_i] /
+//! g_i` for each side, the weights w of the points, and the prior of o and p (its expectation is subtracted from e, its
 //! covariance is V), o and p are eliminated by `e'we - (U'we)' (V^-1 + U'wU)^-1 (U'we)`.
 //!
 //! The points of the surface determine its size as well. So points and contour together give an estimate of o and p
@@ -27,8 +27,7 @@ const GATE: f64 = 3.5; // [sigmas]
 /// Lower bound of the curvature along the view, in 1/m, which keeps the radius finite.
 const LEAST_CURVATURE: f64 = 0.1; // [algorithmic]
 /// Lower bound of the cosine between a scan line and the normal of an outline: a line that runs along the outline hardly shows
-/// its place. For the same reason the slope of the discriminant at the outline is taken as at least this part of its slope at the
-/// ray.
+/// its place. Therefore the slope of the discriminant at the outline is also taken as at least this part of its slope at the ray.
 const LEAST_ALONG: f64 = 0.3; // [algorithmic]
 
 /// A point where a scan line leaves a surface.
@@ -36,9 +35,9 @@ const LEAST_ALONG: f64 = 0.3; // [algorithmic]
 pub struct ContourPoint {
     /// A point on the ray, in the camera frame.
     pub ray: Vector3,
-    /// Its change per pixel along the scan line.
+    /// Change of `ray` per pixel along the scan line.
     pub pixel: Vector3,
-    /// Its change per pixel from scan line to scan line.
+    /// Change of `ray` per pixel from scan line to scan line.
     pub across: Vector3,
     /// 0 for the first pixel of the line, 1 for the last.
     pub side: usize,
@@ -61,9 +60,9 @@ pub struct ContourNoise {
 /// pixels and share of the radius of the first side, then of the last.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ContourBias {
-    /// Expectation.
+    /// Expectation of the bias.
     pub mean: Vector4<f64>,
-    /// Covariance.
+    /// Covariance of the bias.
     pub covariance: Matrix4<f64>,
 }
 
@@ -86,11 +85,11 @@ pub struct Contour {
 #[derive(Clone, Copy, Debug)]
 struct ModelledPoint {
     point: ContourPoint,
-    /// Whether it is near the contour of the surface.
+    /// Whether the point is near the contour of the surface.
     used: bool,
-    /// Cosine between the scan line and the normal of the outline there.
+    /// Cosine between the scan line and the normal of the outline at the point.
     along: f64,
-    /// Radius of curvature of the surface there, along the view, in pixels of the line.
+    /// Radius of curvature of the surface at the point, along the view, in pixels of the line.
     radius_px: f64,
     /// Expected error along the line, in pixels, and its variance.
     expected: f64,
@@ -102,7 +101,7 @@ struct ModelledPoint {
 pub struct ContourTerm<const N: usize> {
     /// Weighted sum of squares.
     pub square_sum: f64,
-    /// Half the gradient of that sum.
+    /// Half the gradient of `square_sum`.
     pub gradient: SVector<f64, N>,
     /// Gauss-Newton matrix.
     pub matrix: SMatrix<f64, N, N>,

@@ -47,7 +47,7 @@ impl Line {
         (point - self.point).dot(&self.direction)
     }
 
-    /// Root mean square of the angle between this and the true direction, in radians.
+    /// Root mean square of the angle between `direction` and the true direction, in radians.
     pub fn direction_sigma(&self) -> f64 {
         self.rms / (self.spread * self.count.sqrt())
     }

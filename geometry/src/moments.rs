@@ -3,10 +3,10 @@
 //! `m[p, q] = sum (s - s0)^p (t - t0)^q` for p + q <= 4 about an origin `(s0, t0)`. One more point is 14 additions; two
 //! sets are joined by adding their sums; moving the origin is exact polynomial algebra and needs no points.
 
-/// Number of sums.
+/// Number of moments of points in a plane, up to degree four.
 pub const MOMENTS: usize = 15; // [derived]
 
-/// Exponents `[p, q]` of each sum, ordered by degree, then by falling p.
+/// Exponents `[p, q]` of each moment, ordered by degree, then by falling p.
 const EXPONENTS: [[usize; 2]; MOMENTS] = {
     let (mut table, mut p) = ([[0; 2]; MOMENTS], 0);
     while p <= 4 {

@@ -10,18 +10,19 @@ use nalgebra::{SMatrix, SVector};
 
 /// Most steps of a fit.
 const MAX_STEPS: usize = 8; // [algorithmic]
-/// Damping of the first step, and the factor by which it grows after a failed step and shrinks after a successful one (Levenberg
-/// 1944, Marquardt 1963).
+/// Damping of the first step (Levenberg 1944, Marquardt 1963).
 const DAMPING: f64 = 1e-3; // [algorithmic]
+/// Factor by which the damping grows after a failed step and shrinks after a successful one.
 const DAMPING_STEP: f64 = 10.0; // [algorithmic]
 /// Least damping after a failed step.
 const LEAST_DAMPING: f64 = 1e-6; // [algorithmic]
-/// A shorter step ends the fit; in spreads of the points, and radians.
+/// A step shorter than this ends the fit; in spreads of the points, and radians.
 const SHORT: f64 = 1e-4; // [algorithmic]
 
-/// A step that lowers the sum of squares by less ends the fit: noise makes that sum scatter by more than one.
+/// A step that lowers the sum of squares by less than this ends the fit: noise makes that sum scatter by more than one.
 const SLIGHT: f64 = 5e-2; // [algorithmic]
-/// A fit is given up at a step that gains less than this part of the excess over `most`; later steps gain even less.
+/// A fit is given up at a step that gains less than this part of the excess of the sum of squares over its limit: later steps
+/// gain even less.
 const HOPELESS: f64 = 0.1; // [algorithmic]
 /// A fit is given up only at a step with less damping than this, because a damped step does not show the possible gain.
 const FREE: f64 = 0.1; // [algorithmic]
@@ -33,7 +34,7 @@ pub struct SurfaceFit<S, const N: usize> {
     pub surface: S,
     /// Sum of the squared distances, each times the weight of its point.
     pub square_sum: f64,
-    /// The same sum over the contour.
+    /// Sum of the squared errors of the contour, each times the weight of its point, with the bias eliminated.
     pub contour_sum: f64,
     /// Inverse of the Gauss-Newton matrix. It is the covariance of the parameters if the distances of the points are independent
     /// and have a variance of one over their weights.

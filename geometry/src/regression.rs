@@ -16,7 +16,7 @@ pub struct Regression {
 pub struct Fit {
     /// Mean of x, where `value` is known best.
     pub middle: f64,
-    /// y there.
+    /// Value of y at `middle`.
     pub value: f64,
     /// Change of y with x.
     pub slope: f64,
@@ -29,12 +29,12 @@ pub struct Fit {
 }
 
 impl Fit {
-    /// y at `x`.
+    /// Value of y at `x`.
     pub fn at(&self, x: f64) -> f64 {
         self.value + self.slope * (x - self.middle)
     }
 
-    /// Standard deviation of a further pair's y at `x`, from the fit and from its own scatter.
+    /// Standard deviation of the y of a further pair at `x`, from the fit and from the pair's own scatter.
     pub fn prediction_sigma(&self, x: f64) -> f64 {
         let slope_part = self.slope_sigma * (x - self.middle);
         (self.rms * self.rms + self.value_sigma * self.value_sigma + slope_part * slope_part).sqrt()

@@ -9,7 +9,7 @@ use crate::moments::shifts;
 use crate::{ArcMoments, PlaneMoments, Scan, ScanPlane, Sphere, Vector3};
 use nalgebra::{Matrix3, Matrix4, Vector4};
 
-/// Number of moments.
+/// Number of moments of points in space, up to degree four.
 const SPACE_MOMENTS: usize = 35; // [derived]
 
 /// Number of monomials of a quadric: X2, Y2, Z2, XY, XZ, YZ, X, Y, Z, 1.
@@ -25,9 +25,11 @@ const EXPONENTS: [[usize; 3]; SPACE_MOMENTS] = exponents();
 /// order.
 const SHIFTS: [[[usize; 2]; SPACE_MOMENTS]; 3] = [shifts(&EXPONENTS, 0), shifts(&EXPONENTS, 1), shifts(&EXPONENTS, 2)];
 
-/// For each moment of the points of a row or a column: its powers of the slope across the scan line and of the forward component,
-/// and the index of its plane moment.
+/// For each moment of the points of a row: its powers of the slope across the scan line and of the forward component, and the
+/// index of its plane moment.
 const OF_ROW: [[usize; 3]; SPACE_MOMENTS] = of_arc(false);
+/// For each moment of the points of a column: its powers of the slope across the scan line and of the forward component, and the
+/// index of its plane moment.
 const OF_COLUMN: [[usize; 3]; SPACE_MOMENTS] = of_arc(true);
 
 /// Exponents of the quadric's monomials.
@@ -103,7 +105,7 @@ impl Default for SpaceMoments {
 pub struct QuadricMoments {
     /// The mean of the points.
     pub origin: Vector3,
-    /// Their standard deviation in space.
+    /// Standard deviation of the points in space.
     pub scale: f64,
     /// `sum m m'` over points `(p - origin) / scale`.
     pub matrix: [[f64; QUADRIC_TERMS]; QUADRIC_TERMS],

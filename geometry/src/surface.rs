@@ -3,8 +3,8 @@
 //! F is scaled so that `|grad F| = 1` on the surface, so it is the distance to first order:
 //! - sphere: `(|p - c|^2 - R^2) / (2 R)`
 //! - cylinder and cone, with `x = p - c`, unit axis d, slope `tau = tan phi`, and the radius `R + tau d.x` along the axis:
-//!   `cos phi ((|x|^2 - (d.x)^2 - (R + tau d.x)^2) / (2 R))`; a cylinder has tau = 0. Where a cone is wider or narrower
-//!   than R by a factor g, F is too large by g, so pooled arcs have the weight `1 / g^2`.
+//!   `cos phi ((|x|^2 - (d.x)^2 - (R + tau d.x)^2) / (2 R))`; a cylinder has tau = 0. Where the radius of a cone is
+//!   g R, F is g times the distance, so pooled arcs have the weight `1 / g^2`.
 
 use crate::{Coefficients, Conic, Scan, ScanPlane, Vector3};
 use nalgebra::Matrix3;
@@ -14,7 +14,7 @@ pub trait Surface<const N: usize>: Copy {
     /// Coefficients of F.
     fn coefficients(&self) -> Coefficients;
 
-    /// Their derivatives by the parameters.
+    /// Derivatives of the coefficients of F by the parameters.
     fn derivatives(&self) -> [Coefficients; N];
 
     /// Returns the surface whose parameters differ by `step`; `None` where there is no such surface.

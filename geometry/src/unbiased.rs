@@ -25,7 +25,7 @@ fn powers<T: Number>(z: T, variance: T) -> [T; 5] {
 /// Sums `sum x^p h_n(z)` over the rays of a scan line, x the slope of the ray; p <= n <= 4, in the order of
 /// [`PlaneMoments::from_sums`] with n = p + q.
 ///
-/// They do not depend on the scan plane.
+/// These sums do not depend on the scan plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RaySums(pub [f64; MOMENTS]);
 

@@ -16,10 +16,10 @@ use std::sync::OnceLock;
 
 /// Steepest slope of a surface from line to line, as depth per distance across the view.
 const MAX_LINE_SLOPE: f64 = 5.0; // [tuned]
-/// Standard deviations by which the mean depths of arcs of one surface may differ beyond their slope.
+/// Standard deviations by which the mean depths of arcs of one surface may differ beyond what its slope explains.
 const DEPTH_SIGMAS: f64 = 4.0; // [sigmas]
-/// Further difference of the mean depths for each pixel by which one arc is longer, in widths of a pixel: the points of half a
-/// circle lie on average `pi / 8` of its width before its centre.
+/// Difference by which the mean depths of two arcs of one surface may differ for each pixel by which one of them is longer, in
+/// widths of a pixel: the points of half a circle lie on average `pi / 8` of its width before its centre.
 const DEPTH_PER_PIXEL: f64 = FRAC_PI_8; // [derived]
 
 /// An arc with the data that the assembler needs.

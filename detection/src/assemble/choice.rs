@@ -24,7 +24,8 @@ const UNKNOWN_HALF_ANGLE: f64 = 0.07; // [tuned]
 /// Standard deviation of a half-angle, in radians (1.5 degrees), beyond which a half-angle that exceeds zero by [`UNSURE_SIGMAS`]
 /// speaks against a cylinder, although it does not show a cone.
 const UNSURE_HALF_ANGLE: f64 = 0.026; // [tuned]
-/// Standard deviations by which such an uncertain half-angle exceeds zero.
+/// Standard deviations by which a half-angle with a sigma above [`UNSURE_HALF_ANGLE`] has to exceed zero to speak against a
+/// cylinder.
 const UNSURE_SIGMAS: f64 = 2.0; // [sigmas]
 
 /// The chosen shape.
@@ -141,7 +142,7 @@ mod tests {
         upright_before(&[], slope)
     }
 
-    /// The same with other bodies.
+    /// The arcs of such an upright body together with other bodies, and the indices of those in rows of its middle.
     fn upright_before(others: &[Shape], slope: f64) -> (Arcs, Vec<usize>) {
         let center = Vector3::new(0.0, 0.0, 2.0);
         let body = frustum(center, Vector3::y(), 0.2, slope, 0.7);

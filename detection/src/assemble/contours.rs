@@ -17,38 +17,45 @@ use std::ops::AddAssign;
 /// Number of fits to the contour. Each fit uses the points within the outline of the previous model and the contour points near
 /// that outline.
 const PASSES: usize = 2; // [algorithmic]
-/// Prior standard deviation of a contour point for an unknown sensor: a part in pixels and a part in radii. In rendered frames of
-/// a Kinect and of a time-of-flight camera it scatters by half a pixel and 1 to 2 % of the radius, with windows that are compared
-/// by up to 1.2 pixels; 4 % leave a margin. The prior variances are given standard deviations as large as themselves.
+/// Prior standard deviation of a contour point for an unknown sensor: the part that does not depend on the radius, in pixels. In
+/// rendered frames of a Kinect and of a time-of-flight camera contour points scatter by half a pixel, by up to 1.2 pixels where a
+/// sensor compares windows. The prior variance is given a standard deviation as large as itself.
 const POINT_PX: f64 = 0.5; // [measured]
+/// Prior standard deviation of a contour point for an unknown sensor: the part that is proportional to the radius, in radii. In
+/// rendered frames of a Kinect and of a time-of-flight camera it is 1 to 2 %; 4 % leave a margin. The prior variance is given a
+/// standard deviation as large as itself.
 const POINT_SHARE: f64 = 0.04; // [tuned]
 /// Least variance of a contour point, in square pixels: that of a uniform distribution within one pixel.
 const LEAST_VARIANCE_PX: f64 = 1.0 / 12.0; // [derived]
-/// Prior standard deviations of the bias for an unknown sensor: of the offset in pixels, and of the share of the radius. In
-/// rendered frames a whole contour lies up to 5 % of the radius too far in.
+/// Prior standard deviation of the offset of contours for an unknown sensor, in pixels.
 const OFFSET_PX: f64 = 1.0; // [tuned]
+/// Prior standard deviation of the bias of contours for an unknown sensor that is a share of the radius. In rendered frames a
+/// whole contour lies up to 5 % of the radius too far in.
 const SHARE: f64 = 0.05; // [tuned]
-/// Further standard deviation of the offset for each further pixel that shares the noise of one, in pixels: a sensor that
-/// compares windows of w pixels puts an edge anywhere within half a window, which scatters it by (w - 1) / sqrt(12).
+/// Prior standard deviation of the offset of contours, in pixels, that is added to [`OFFSET_PX`] (as squares) for each further
+/// pixel that shares the noise of one: a sensor that compares windows of w pixels puts an edge anywhere within half a window,
+/// which scatters it by (w - 1) / sqrt(12).
 const WINDOW_OFFSET_PX: f64 = 0.288_675; // [derived]
 
-/// Systematic error of an object's own contour, which the shared bias does not explain: of its radius and centre, in radii and in
-/// pixels. It does not average out with more points. With these three constants the errors over sigmas in
+/// Systematic error of the radius and centre of an object that the shared bias of contours does not explain: the part in radii.
+/// It does not average out with more points. With this value, [`SYSTEMATIC_PX`] and [`FLATTENED_PX`] the errors over sigmas in
 /// `experiments/detection.toml` and `experiments/simulated_sensors.toml` are near 1.
 pub(super) const SYSTEMATIC: f64 = 0.0005; // [measured]
+/// Systematic error of the radius and centre of an object that the shared bias of contours does not explain: the part in pixels,
+/// where no neighbours share their noise.
 pub(super) const SYSTEMATIC_PX: f64 = 0.04; // [measured]
-/// Further systematic error for each further pixel that shares the noise of one, in pixels: comparing windows flattens round
-/// surfaces at their silhouettes.
+/// Systematic error of the radius and centre of an object, in pixels, for each further pixel that shares the noise of one:
+/// comparing windows flattens round surfaces at their silhouettes.
 pub(super) const FLATTENED_PX: f64 = 0.06; // [measured]
 
 /// Width of the strip inside the outline whose points the fit leaves out, in multiples of the expected outward bias of the
-/// contour: a sensor that shows contours too far out also flattens the surface inside them. Without that strip, and with 1, 2 and
-/// 3, 489, 496, 503 and 503 of 520 objects are found in recordings (`experiments/README.md`, "The recorded ball").
+/// contour: a sensor that shows contours too far out also flattens the surface inside them. With 0 (no strip), 1, 2 and 3, 489,
+/// 496, 503 and 503 of 520 objects are found in recordings (`experiments/README.md`, "The recorded ball").
 const EDGE_WIDTH: f64 = 2.0; // [measured]
 
 /// Gate on the displacement of an object, in standard deviations: an object that moved less counts as standing still.
 const STILL_SIGMAS: f64 = 3.0; // [sigmas]
-/// Weight of the prior of `NewShare`, in pairs of images: the prior is that images of one object do not differ.
+/// Weight of the prior that images of one object do not differ, in pairs of images (`NewShare`).
 const UNCOMPARED: f64 = 10.0; // [tuned]
 /// Number of images without an object after which it counts as another one when it is seen again, which bounds the work.
 const RECENT_IMAGES: u32 = 30; // [tuned]
@@ -60,7 +67,7 @@ pub(crate) struct ContourCalibration {
     camera: Camera,
     /// Evidence of each object of recent images.
     recent: Vec<ObjectEvidence>,
-    /// Share of that evidence that is new in each image.
+    /// Share of the evidence of an object that is new in each image.
     new_share: NewShare,
     /// Evidence of objects that are no longer in `recent`, in rows and in columns.
     before: [ContourEvidence; 2],
@@ -74,9 +81,9 @@ struct ObjectEvidence {
     /// The object as it was last seen.
     object: Object,
     direction: usize,
-    /// Mean over its images.
+    /// Mean evidence over the images of the object.
     learned: ContourEvidence,
-    /// Number of its images, where old ones count less.
+    /// Number of images of the object, where old ones count less.
     images: f64,
     images_ago: u32,
     /// Weight that is left of the evidence, from 1 to 0.
@@ -90,7 +97,7 @@ struct NewShare {
     /// Sum of squared differences between an image and the mean over those before, in units of their variance if everything were
     /// new in each image.
     squares: f64,
-    /// Number of such differences.
+    /// Number of differences in `squares`.
     pairs: f64,
 }
 
@@ -147,9 +154,9 @@ pub struct ContourErrors {
     pub objects: f64,
     /// Bias where lines begin (left, or at the top), and where they end.
     pub sides: [SideErrors; 2],
-    /// Standard deviation of a contour point along its line: a part in pixels and a part in radii of curvature.
+    /// Standard deviation of a contour point along its line: the part in pixels.
     pub scatter_px: f64,
-    /// See `scatter_px`.
+    /// Standard deviation of a contour point along its line: the part in radii of curvature.
     pub scatter_share: f64,
 }
 
@@ -160,7 +167,7 @@ pub struct ContourErrors {
 pub struct SideErrors {
     /// Number of contour points behind the estimate, weighted as objects are.
     pub points: f64,
-    /// Their mean radius of curvature, in pixels; 0 without points.
+    /// Mean radius of curvature at the contour points, in pixels; 0 without points.
     pub radius_px: f64,
     /// Offset and its standard deviation, in pixels.
     pub offset_px: [f64; 2],
@@ -276,7 +283,7 @@ impl ObjectEvidence {
         self.images = images;
     }
 
-    /// Evidence of all its images together, with the weight that they have.
+    /// Returns the evidence of all images of the object together, with their weight.
     fn counted(&self, new_share: &NewShare) -> ContourEvidence {
         let Self { learned, images, kept, .. } = *self;
         learned.times(kept * new_share.count(images))
@@ -477,8 +484,9 @@ mod tests {
         assert_eq!(points(&contours), None);
     }
 
-    /// Radius and distance of the ball in `ball`.
+    /// Radius of the ball in `ball`, in metres.
     const RADIUS: f64 = 0.2;
+    /// Distance of the ball in `ball`, in metres.
     const DISTANCE: f64 = 1.5;
 
     /// The arcs of a ball before a wall, and the indices of those in rows or columns that lie on the ball.

@@ -13,7 +13,7 @@ const MAX_CHAIN_SIDE: usize = 12; // [algorithmic]
 const CORE_ARCS: usize = 9; // [algorithmic]
 /// Fewest arcs that a model is fitted to.
 const MIN_FIT_ARCS: usize = 5; // [algorithmic]
-/// Most rounds of growing and refitting; each round doubles the extent at most.
+/// Most rounds of growing and refitting; each round triples the extent at most.
 const MAX_ROUNDS: usize = 7; // [algorithmic]
 /// Fewest standard deviations by which the summed bulge of a chain has to exceed that of straight arcs.
 const CHAIN_SIGMAS: f64 = 3.0; // [sigmas]
@@ -22,14 +22,14 @@ const CHAIN_SIGMAS: f64 = 3.0; // [sigmas]
 const STRAIGHT: [f64; 2] = [0.5, 1.25]; // [derived] [derived]
 /// Margin in pixels on both sides of the arcs of one line, within which arcs of the next line are accepted.
 const BESIDE_MARGIN_PX: i64 = 2; // [tuned]
-/// The margin grows by the length of the arcs divided by this.
+/// Length of the arcs of one line, in pixels, for which [`BESIDE_MARGIN_PX`] grows by one pixel.
 const BESIDE_MARGIN_DIVISOR: i64 = 8; // [tuned]
 /// Least number of lines by which a model may grow in one round, even if it has fewer lines.
 const LEAST_STEP: i64 = 4; // [algorithmic]
 /// Widest gap that is bridged, as a part of the lines of the object: something may stand in front of it.
 const MAX_GAP_SHARE: f64 = 0.5; // [tuned]
-/// Fewest lines beyond a gap, for each line of the gap: fewer are dropped. Where so many lines are tried, a few are explained by
-/// chance, such as a line of the lid of a can where its far wall would be.
+/// Fewest lines beyond a gap, for each line of the gap: fewer are dropped. Beyond a wide gap many lines are tried, and a model
+/// explains a few by chance, such as a line of the lid of a can where its far wall would be.
 const MIN_LINES_PER_GAP_LINE: f64 = 0.1; // [tuned]
 
 /// Standard deviations by which a radius has to exceed its limit for the model to count as a wall.
@@ -40,8 +40,8 @@ pub(crate) struct Gate {
     /// Standard deviations by which the mean, and the mean square less that of the noise, may differ from zero, given the noise
     /// and the uncertainty of the model.
     scatter: f64,
-    /// Mean square by which the surface may differ from its model in addition, in variances of a point. All points of an arc may
-    /// be off alike, so the mean may be off by the root of it.
+    /// Mean square by which the surface may differ from its model besides the noise, in variances of a point. All points of an
+    /// arc may be off alike, so the mean may be off by the root of it.
     slack: f64,
 }
 
@@ -55,8 +55,8 @@ const SETTLED: Gate = Gate { scatter: 2.5, slack: 0.15 }; // [sigmas] [tuned]
 const AT_ENDS: Gate = Gate { scatter: 1.2, slack: 0.0 }; // [sigmas]
 /// Gate of arcs beyond a grown model: an arc that is off by more than noise explains is of another surface.
 pub(crate) const NOISE_ONLY: Gate = Gate { scatter: 2.5, slack: 0.0 }; // [sigmas]
-/// Factor on the variance of the model in the gate on a mean square: the variance is that in the middle of the arc, and it is
-/// larger elsewhere on the arc.
+/// Factor on the variance of the model in the gate on a mean square: the variance is evaluated in the middle of the arc, and it
+/// is larger elsewhere on the arc.
 const ALONG_ARC: f64 = 4.0; // [tuned]
 
 impl Gate {
@@ -147,7 +147,7 @@ struct Start<'a> {
 /// Result of a growth.
 struct Growth {
     pub grown: Result<Model, Rejection>,
-    /// Whether its first model explained the whole chain.
+    /// Whether the first model of the growth explained the whole chain.
     pub from_whole: bool,
 }
 

@@ -8,16 +8,16 @@ use conicflow_geometry::{
 };
 use conicflow_messages::ObjectKind;
 
-/// Lower bound of the radius of a cone at an arc, relative to that at its point. Near the apex F is no distance, and this bound
-/// keeps the weights finite.
+/// Lower bound of the radius of a cone at an arc, relative to the radius `R` that is its parameter. Near the apex F is no
+/// distance, and this bound keeps the weights finite.
 const MIN_RADIUS_RATIO: f64 = 0.05; // [algorithmic]
-/// Limit on the square sum of the first fit of a cone, as a multiple of that of its refit: the first fit weights arcs as those of
-/// a cylinder.
+/// Limit on the square sum of the first fit of a cone, as a multiple of the limit of its refit: the first fit weights arcs as
+/// those of a cylinder.
 const UNWEIGHTED: f64 = 2.0; // [algorithmic]
 /// Largest slope of a cone; the fit of a steeper one has diverged.
 const STEEPEST: f64 = 1.2; // [algorithmic]
 
-/// Largest radius of a starting value, in metres.
+/// Largest radius from which the fit of a cylinder starts, in metres.
 const WIDEST: f64 = 2.0; // [algorithmic]
 
 /// A fitted model.

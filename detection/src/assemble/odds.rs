@@ -18,7 +18,7 @@ const MOST_OUTLINE: f64 = 5.0; // [tuned]
 const MOST_LENGTH: f64 = 3.0; // [tuned]
 /// Upper bound of the mean square residual, in variances: where there is almost no noise, any residual is many variances.
 const MOST_RESIDUAL: f64 = 2.0; // [tuned]
-/// Added to standard deviations in radii, so that their logarithms stay finite.
+/// Amount that is added to standard deviations in radii, so that their logarithms stay finite.
 const LEAST_SIGMA: f64 = 0.003; // [tuned]
 /// A surface beyond an end counts as the same surface while its arcs are within this mean distance of the object's surface, in
 /// radii. With 0.1, 0.2, 0.3 and 0.4, and a weight fitted to each, 108, 90, 79 and 74 wrong candidates of `cargo bench --bench
@@ -47,7 +47,7 @@ pub struct Evidence {
     pub length_radii: f64,
     /// Share of its two ends across the scan lines beyond which any surface continues.
     pub continued: f64,
-    /// How far beyond these ends a surface continues that departs from its own only slowly, in radii: the smaller of both, then
+    /// How far beyond its two ends a surface continues that departs from its own only slowly, in radii: the smaller of both, then
     /// the larger.
     pub beyond_radii: [f64; 2],
     /// Logarithm of the probability of its being round over that of its being some quadric near the shape (see `round.rs`).
@@ -140,8 +140,9 @@ mod tests {
     use conicflow_lab::rendered::{KINECT_HALF, cylinder, frustum};
     use conicflow_lab::simulator::shapes::Shape;
 
-    /// Height and radius of the can in `beyond`, in metres.
+    /// Height of the can in `beyond`, in metres.
     const HEIGHT: f64 = 0.24;
+    /// Radius of the can in `beyond`, in metres.
     const RADIUS: f64 = 0.2;
 
     /// Evidence of some object.

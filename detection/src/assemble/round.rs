@@ -9,7 +9,7 @@ use nalgebra::{SMatrix, SVector};
 /// Standard deviation of the departure (see [`conicflow_geometry::Sphere::departures`]) of round objects: neither objects nor
 /// sensors are exact. The ball of the recordings departs by 0.05 to 0.15.
 const ROUND: f64 = 0.05; // [tuned]
-/// Standard deviation of the departure of objects that are not round.
+/// Standard deviation of the departure (see [`conicflow_geometry::Sphere::departures`]) of objects that are not round.
 const OVAL: f64 = 0.15; // [tuned]
 
 /// Returns the logarithm of the Bayes factor of a round surface over any quadric near it, from the points and the contour of a

@@ -17,7 +17,8 @@ pub(super) const MAX_FAILED: usize = 10; // [measured]
 /// Distance beyond the visible ends of an object within which arcs are tested for belonging to it, in radii; arcs farther off
 /// hardly ever belong to it.
 const SPARE_REACH: f64 = 1.5; // [algorithmic]
-/// Limit on the mean square residual of such an arc of the object, in variances of a point.
+/// Limit on the mean square residual from an object of an arc that still belongs to it, in variances of a point. It holds for
+/// arcs within [`SPARE_REACH`] that the object did not take in.
 const SPARE_SQUARE: f64 = 4.0; // [sigmas]
 
 /// The order in which arcs are tried; its buffers are used again for the next image.
@@ -28,7 +29,7 @@ pub(crate) struct Seeds {
     order: BinaryHeap<(u64, Reverse<usize>)>,
     /// Number of seeds from which growth failed.
     failed: usize,
-    /// Number of these seeds whose surface each arc is connected with.
+    /// For each arc: how many seeds have failed on the surface that it is connected with.
     failed_beside: Vec<u32>,
     /// Time to stop; `None`: never.
     deadline: Option<Instant>,

@@ -228,7 +228,7 @@ fn a_sensor_quieter_than_its_model_is_no_worse() {
     assert!((found.radius - 0.1).abs() < 1e-3 && off(&found, &center) < 2e-3, "{found:?}");
 }
 
-/// What is found of a scene as a Kinect sees it: with silhouettes that are unsure of their place.
+/// Returns the objects that are found in a scene as a Kinect sees it: with silhouettes whose place is uncertain.
 fn by_a_kinect(scene: &str, width: u32, seed: u64) -> Vec<Object> {
     by_a_sensor(SensorTable::default(), scene, width, seed)
 }
@@ -290,7 +290,7 @@ fn a_flat_tin_is_found_by_the_part_of_its_side_that_shows() {
 
 #[test]
 fn a_band_of_a_ball_is_no_cylinder() {
-    // What of it is above the table is less than a ball has to show.
+    // The part of the ball above the table is smaller than the part that has to be visible.
     for (seed, depth) in [(1, 0.04), (2, 0.05), (3, 0.06), (4, 0.07)] {
         let ball = format!("[[sphere]]\nname = 'ball'\ncenter = [0.0, 0.0, {depth}]\nradius = 0.1\n");
         let found = on_a_table(&ball, seed);
@@ -324,8 +324,8 @@ fn lengths_are_neither_too_long_nor_too_short() {
     assert!(mean.abs() < 0.002 && most < 2.0, "mean {mean} m, at most {most} sigmas off");
 }
 
-/// Through the mouth of a cup so small that its inside looks flat, lines beyond the near rim show the far wall: of the same surface,
-/// and 2 cm farther along the axis.
+/// The cup is so small that its inside looks flat. Lines beyond its near rim show the far wall through its mouth, which belongs
+/// to the same surface, 2 cm farther along the axis.
 #[test]
 fn a_cup_ends_at_its_near_rim() {
     let axis = Vector3::new(0.0, -0.87, -0.5).normalize();
@@ -411,7 +411,7 @@ pub(super) fn arcs_of(bodies: &[Shape]) -> Arcs {
     arcs_by(KINECT_HALF, NoiseModel::KINECT_V1, bodies)
 }
 
-/// The same as another camera sees it.
+/// The arcs of a scene as a camera with this noise sees it.
 pub(super) fn arcs_by(camera: Camera, noise: NoiseModel, bodies: &[Shape]) -> Arcs {
     let (header, pixels) = render(camera, noise, bodies, 1);
     let mut arcs = Arcs::default();
@@ -562,7 +562,7 @@ fn what_is_too_improbable_is_not_tried_from_its_other_arcs() {
 #[test]
 fn a_window_of_the_sensor_may_move_the_outline() {
     let (header, ellipses) = ellipses_of_a_can();
-    // As a sensor sees it that loses what it sees at a slant: eight pixels too far in, on both sides.
+    // The contours of a sensor that loses surfaces at grazing incidence: eight pixels too far in, on both sides.
     let far_off = |correlation_px: f64| {
         let inwards = |ellipse: &Ellipse| {
             let [before, behind] = ellipse.contour;
@@ -673,8 +673,8 @@ fn no_line_is_left_out_as_a_whole_where_nothing_is_flattened() {
     assert!((4..20).contains(&beside) && (found / expected - 1.0).abs() < 1e-9, "{beside}: {found} {expected}");
 }
 
-/// What a sensor shows that smears the silhouette of a ball outwards by so many pixels: what it shows from twice as far within
-/// the outline on is drawn out to there. `middle` and `radius_px` are those of its outline.
+/// Returns the image of a sensor that smears the silhouette of a ball outwards by `outwards` pixels: the ring from twice as far
+/// within the outline to the outline is stretched outwards to there. `middle` and `radius_px` are those of the outline.
 fn smeared(camera: Camera, pixels: &[u16], middle: [f64; 2], radius_px: f64, outwards: f64) -> Vec<u16> {
     let (width, inner) = (camera.width as usize, radius_px - 2.0 * outwards);
     let shown = |at: usize| {

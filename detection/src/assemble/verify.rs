@@ -13,9 +13,9 @@ use conicflow_geometry::{Contour, Scan, SpaceMoments, Vector3, section_of};
 /// Width of the margin at each end of an arc, in pixels, that does not count for the extent: it may belong to a lid or to the
 /// floor.
 const UNSURE_PX: f64 = 2.0; // [tuned]
-/// Largest cosine between the axis and the scan lines: that of 40 degrees.
+/// Largest cosine between the axis of an object and its scan lines: that of 40 degrees.
 const ALONG_LINES: f64 = 0.766; // [tuned]
-/// Largest cosine between the axis and the view: that of 25 degrees.
+/// Largest cosine between the axis of an object and the view: that of 25 degrees.
 const ALONG_VIEW: f64 = 0.906; // [tuned]
 /// Fewest standard deviations by which the curvature of an object has to exceed that of a plane.
 const PLANE_SIGMAS: f64 = 4.0; // [sigmas]

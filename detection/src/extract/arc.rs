@@ -12,14 +12,16 @@ use std::ops::Range;
 /// Least difference between the line error and the circle error of an arc, in standard deviations, if it is only a part of a run
 /// and has no contour.
 const PART_BEND_SIGMAS: f64 = 3.0; // [sigmas]
-/// The same for any other arc of at least [`WEAK_POINTS`] points. Most such runs are flat.
+/// Least difference between the line error and the circle error, in standard deviations, of an arc of at least [`WEAK_POINTS`]
+/// points that jumps or creases set off, or that has a contour. Most such runs are flat.
 const WHOLE_BEND_SIGMAS: f64 = 0.5; // [sigmas]
-/// Any other arc of fewer points only has to be curved at all, because many weak arcs together are strong evidence.
+/// Fewest points of an arc to which [`WHOLE_BEND_SIGMAS`] applies: shorter ones only have to be curved at all, because many weak
+/// arcs together are strong evidence.
 const WEAK_POINTS: usize = 16; // [tuned]
 /// Fewest points of an arc that is kept although noise bends it the wrong way, because jumps separate it from its surroundings.
 const MIN_SET_OFF_POINTS: usize = 6; // [tuned]
-/// One point for each of this many is trimmed from each end, besides `trim_px`: the larger an edge appears, the wider it is
-/// smeared.
+/// Number of points of an arc for each of which one point is trimmed from each end, besides `trim_px`: the larger an edge
+/// appears, the wider it is smeared.
 const POINTS_PER_SMEARED: usize = 32; // [tuned]
 /// Radius of a circle that is indistinguishable from a line, in metres.
 const STRAIGHT_M: f64 = 500.0; // [algorithmic]

@@ -68,7 +68,8 @@ pub(super) struct Averaging {
     reach: u32,
     /// Variance of a pixel averaged over 0, 1, ... lines on either side, relative to that of one averaged over all.
     variances: Vec<f64>,
-    /// The mean of [`SURROUNDINGS`] equal values of each of these, with the rounding of their sum, for bitwise the same results.
+    /// The mean of [`SURROUNDINGS`] equal values of each of `variances`, with the rounding of their sum, for bitwise the same
+    /// results.
     mean_of_equal: Vec<f64>,
 }
 
@@ -126,7 +127,8 @@ impl Averaging {
         }
     }
 
-    /// Computes the same for a batch of pixels, from differences in integers, of which processors handle eight at a time.
+    /// Averages a batch of pixels as [`Self::average`] does, from differences in integers, of which processors handle eight at a
+    /// time.
     #[inline]
     fn average_batch(
         &self,

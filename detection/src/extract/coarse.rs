@@ -15,7 +15,7 @@ const COARSE_STEP: u32 = 6; // [algorithmic]
 const OPENS_GAP_CHI2: f64 = 2.0; // [sigmas]
 /// Margin in pixels beyond both ends of an arc that is searched in the lines beside it.
 const SEARCH_MARGIN_PX: u32 = 16; // [tuned]
-/// The margin grows by the length of the arc divided by this.
+/// Length of an arc, in pixels, for which [`SEARCH_MARGIN_PX`] grows by one pixel.
 const SEARCH_MARGIN_DIVISOR: u32 = 4; // [tuned]
 
 /// Returns the distance between coarse lines if every `step`th line is searched at all.
@@ -28,7 +28,7 @@ pub(crate) fn coarse_step(step: u32) -> u32 {
 pub(crate) struct CoarseLines {
     /// The arcs in the order of line and pixel.
     arcs: Vec<Ellipse>,
-    /// Whether each is curved.
+    /// Whether each arc is curved.
     curved: Vec<bool>,
     /// The end of each line's arcs in `arcs`.
     ends: Vec<usize>,

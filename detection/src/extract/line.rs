@@ -85,7 +85,7 @@ impl RayLine {
         count
     }
 
-    /// Does the same for the numbers of neighbours on either side; `pairs` is empty where lines are not averaged.
+    /// Copies the numbers of averaged lines on either side of the measured pixels; `pairs` is empty where lines are not averaged.
     fn gather_pairs(&mut self, depths: &[u16], pairs: &[u16]) {
         self.pairs.clear();
         for (depths, pairs) in depths.chunks(GATHERED).zip(pairs.chunks(GATHERED)) {

@@ -16,7 +16,7 @@ pub(crate) struct NoiseEstimate {
     pub variance_ratios: [f64; 2],
     /// Number of neighbours along rows, and along columns, that share the noise (`noise_planes.rs`), at least 1.
     pub correlation_px: [f64; 2],
-    /// Number of neighbouring rows, and of columns, that are averaged to reduce it (`averaging.rs`); 1: none.
+    /// Number of neighbouring rows, and of columns, that are averaged to reduce the noise (`averaging.rs`); 1: none.
     pub averaged: [u32; 2],
 }
 

@@ -89,7 +89,7 @@ struct Half {
     scatter: f64,
 }
 
-/// Estimates the noise of an image with this header; turns `view` to its rows.
+/// Estimates the noise of an image with this header; sets up `view` for its rows.
 pub(crate) fn estimate(
     view: &mut View,
     (header, image): (&Header, &[u16]),

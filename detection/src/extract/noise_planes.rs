@@ -87,8 +87,8 @@ type Residual = [f64; 2];
 type Covariances = [[f64; 2]; FARTHEST + 1];
 
 /// Returns the number of neighbours along rows, and along columns, that count as one: the mean of many pixels has the variance of
-/// one pixel, times this number, over theirs. `view` is turned to the rows of the image and has its noise. [`UNSEEN`] where there
-/// are too few planes.
+/// one pixel, times this number, over theirs. `view` is set up for the rows of the image, with its noise. [`UNSEEN`] where
+/// there are too few planes.
 ///
 /// The level of the noise was estimated from neighbours, which do not show its longer waves. Planes do: where they are less even
 /// than the level explains, more neighbours count as one.

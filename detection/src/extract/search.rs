@@ -25,7 +25,7 @@ pub(super) struct CurveSearch {
     pub(super) sums: Vec<ArcSums>,
     /// Points at which a run is cut, with its ends.
     cuts: Vec<usize>,
-    /// The segments between two of these cuts.
+    /// The segments between two cuts.
     segments: Vec<Segment>,
     depth_sums: Vec<u32>,
 }

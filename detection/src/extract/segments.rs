@@ -8,10 +8,10 @@ use super::run::{FIRST_FIT, MIN_ARC_POINTS, Run};
 use super::view::SURROUNDINGS;
 use std::ops::Range;
 
-/// Number of points on each side of a crease that are compared with the three in it.
+/// Number of points on each side of a crease that are compared with the three points in it.
 const WING: usize = 5; // [tuned]
-/// Least depth of a crease, in standard deviations of one pixel. The difference between the mean of three and that of ten
-/// scatters by 0.66 of one, so this is 5.3 of its own standard deviations.
+/// Least depth of a crease, in standard deviations of one pixel. The depth is the difference between the mean of the three points
+/// in the crease and that of the ten beside it; it scatters by 0.66, so the limit is 5.3 of its own standard deviations.
 const CREASE: f64 = 3.5; // [sigmas]
 /// Parts into which a unit of the image is divided for the depth of a crease, which is an integer: 30 is divisible by 3 and by
 /// 10.
@@ -22,11 +22,11 @@ const BORDER_STEPS: [usize; 6] = [32, 16, 8, 4, 2, 1]; // [algorithmic]
 /// An interval of a run that one curve explains.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Segment {
-    /// The part of the run between two creases in which it lies, without the ends of the run.
+    /// The part of the run between two creases in which the interval lies, without the ends of the run.
     pub part: [usize; 2],
     pub from: usize,
     pub to: usize,
-    /// Whether it may be an arc: no line explains it, or it is the whole part and not too wide.
+    /// Whether the interval may be an arc: no line explains it, or it is the whole part and not too wide.
     pub is_curve: bool,
 }
 

@@ -8,9 +8,10 @@ use conicflow_geometry::{Pinhole, Scan, ScanPlane};
 use conicflow_messages::{Header, NoiseModel, is_measured};
 use std::ops::Range;
 
-/// The limit's `a`: standard deviations by which the mean square error of the right curve may exceed zero.
+/// In the limit `error^2 <= v (a sqrt(2/n) + b)` on a right curve (`mod.rs`): a, in standard deviations.
 const SCATTER: f64 = 2.5; // [sigmas]
-/// The limit's `b`: the part of its variance by which the noise model may be wrong.
+/// In the limit `error^2 <= v (a sqrt(2/n) + b)` on a right curve (`mod.rs`): b, the part of its variance by which the noise
+/// model may be wrong.
 const SLACK: f64 = 0.6; // [tuned]
 /// Mean square roughness of any surface, and so the least variance of its points, in square metres: a tenth of a millimetre,
 /// squared. It matters only in images without noise.
@@ -38,7 +39,7 @@ pub(crate) struct View {
     pub scan: Scan,
     /// Number of scan lines.
     pub lines: u32,
-    /// Number of pixels of each.
+    /// Number of pixels of a scan line.
     pub length: u32,
     /// Step between the lines that are searched.
     pub step: u32,
@@ -47,7 +48,7 @@ pub(crate) struct View {
     camera: Pinhole,
     /// Model of the sensor.
     pub noise: NoiseModel,
-    /// Variance of the sensor, in variances of its model, or in that of rounding where that is larger.
+    /// Variance of a depth as a multiple of the model's, or of the rounding's where that is larger.
     level: f64,
     /// Number of neighbouring pixels of a line, and of lines, that share their noise.
     pub correlation_px: [f64; 2],
@@ -113,7 +114,7 @@ impl View {
         }
     }
 
-    /// Turns to the rows or columns of an image of this noise.
+    /// Sets up the tables for the rows or the columns of an image of this noise.
     pub fn set_up(&mut self, header: &Header, scan: Scan, noise: &NoiseEstimate) {
         let size = [header.camera.height, header.camera.width];
         [self.lines, self.length] = if scan == Scan::Row { size } else { [size[1], size[0]] };
@@ -267,13 +268,15 @@ pub(crate) struct JumpRule {
 /// A lower bound of the largest step between neighbours on one surface, in integers, of which processors compare eight at a time.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LeastStep {
-    /// In units of the image.
+    /// Part of the step due to constant noise, in units of the image.
     floor: u16,
+    /// Depth beyond which the noise grows, in units of the image.
     knee: u16,
-    /// Per square unit of depth, times 2^32.
+    /// Part of the step due to growing noise, per square unit of depth beyond `knee`, times 2^32.
     growth: u16,
+    /// Part of the step due to rounding by the sensor, per square unit of depth, times 2^32.
     quantum: u16,
-    /// Per unit of depth, times 2^16.
+    /// Part of the step due to the slope of a surface, per unit of depth, times 2^16.
     slope: u16,
 }
 

@@ -1,9 +1,10 @@
 //! Association of detections with tracks: the assignment of least total cost, by shortest augmenting paths (Jonker, Volgenant
 //! 1987) over the pairs within the gate only.
 
-/// The cost of a track that stays alone. As minus twice the logarithm of a density, in 1/m^4 over place and radius, less the
-/// 4 ln 2 pi that pairs leave out, too: one new object in 6000 cubic metres for each metre of radius, so that all but the
-/// vaguest pairs are cheaper. An axis adds nothing: it may lie anywhere in 2 pi, which is what pairs leave out of it.
+/// Cost of a track without a detection, on the scale of the pairs: one new object in 6000 m^3 for each metre of radius, so that
+/// all but the vaguest pairs are cheaper. The scale is minus twice the logarithm of a density over place and radius, in 1/m^4,
+/// less 4 ln 2 pi, which pairs leave out, too. An axis adds nothing: it may lie anywhere in 2 pi, the factor that pairs leave
+/// out.
 const COST_ALONE: f64 = 10.0; // [tuned]
 
 /// Pairs tracks with detections, each at most once.
@@ -16,7 +17,7 @@ pub struct Association {
 }
 
 impl Association {
-    /// Forgets all pairs.
+    /// Removes all pairs, and sets the numbers of tracks and of detections.
     pub fn reset(&mut self, tracks: usize, detections: usize) {
         self.detection_of.clear();
         self.detection_of.resize(tracks, None);
@@ -24,8 +25,9 @@ impl Association {
         self.track_of.resize(detections, None);
     }
 
-    /// Asks for the cost of each pair of a free track and a free detection, and joins those whose costs, with those of the
-    /// tracks that stay alone, have the least sum. A second call, with another cost, pairs what the first has left.
+    /// Pairs free tracks with free detections so that the sum of the costs of all pairs and of all tracks without a detection is
+    /// least; `cost` of a track and a detection is `None` where they cannot be paired. A second call, with another cost, pairs
+    /// those that the first left free.
     pub fn assign(&mut self, cost: impl Fn(usize, usize) -> Option<f64>) {
         let tracks: Vec<_> = free(&self.detection_of).collect();
         let detections: Vec<_> = free(&self.track_of).collect();
@@ -43,12 +45,12 @@ impl Association {
         }
     }
 
-    /// The detection of each track.
+    /// Returns the detection of each track.
     pub fn detections(&self) -> &[Option<usize>] {
         &self.detection_of
     }
 
-    /// The detections that belong to no track.
+    /// Returns the detections that belong to no track.
     pub fn unclaimed(&self) -> impl Iterator<Item = usize> + '_ {
         free(&self.track_of)
     }

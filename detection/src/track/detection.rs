@@ -10,13 +10,13 @@ use nalgebra::{Cholesky, IsometryMatrix3, Matrix3, Point3, Rotation3, UnitVector
 pub struct Detection {
     /// The object as it came, in the camera frame.
     pub object: Object,
-    /// Its shape.
+    /// Kind of the object.
     pub kind: ObjectKind,
     /// Centre in the tracking frame, in metres.
     pub position: Vector3<f64>,
     /// Covariance of the centre.
     pub covariance: Matrix3<f64>,
-    /// Its shape, independent of its place.
+    /// Size and axis of the object.
     pub shape: ShapeParameters,
     /// Time from this detection to the state with which it is compared, in seconds.
     pub late_s: f64,

@@ -13,7 +13,7 @@ use nalgebra::{Cholesky, Matrix3, Matrix6, Matrix6x3, Rotation3, U3, UnitVector3
 pub struct Motion {
     /// Position in metres, then velocity in metres per second.
     pub state: Vector6<f64>,
-    /// Its covariance.
+    /// Covariance of `state`.
     pub covariance: Matrix6<f64>,
     /// The known acceleration, in m/s^2.
     pub acceleration: Vector3<f64>,
@@ -165,9 +165,9 @@ impl Innovation {
 /// A size that hardly changes: a random walk.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Size {
-    /// The estimate.
+    /// Estimate of the size.
     pub value: f64,
-    /// Its variance.
+    /// Variance of the estimate.
     pub variance: f64,
 }
 
@@ -212,9 +212,9 @@ fn joseph(gain: f64, variance: f64, noise: f64) -> f64 {
 /// A direction that turns slowly: a filter in the plane tangent to the unit sphere, with the same variance all around.
 #[derive(Clone, Copy, Debug)]
 pub struct Axis {
-    /// The estimate.
+    /// Estimate of the direction.
     pub direction: UnitVector3<f64>,
-    /// Variance along each of the two directions across it, in square radians: half of the mean square angle.
+    /// Variance along each of the two directions across `direction`, in square radians: half of the mean square angle.
     pub variance: f64,
 }
 

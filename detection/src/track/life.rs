@@ -8,14 +8,14 @@ use conicflow_messages::TrackState;
 pub struct Life {
     /// Frames since the first detection; those of other cameras count only if they had a detection.
     pub age: u32,
-    /// Frames without a detection since the last one, of the camera that had it.
+    /// Frames without a detection since the last detection, of the camera that had it.
     pub misses: u32,
     /// Time from the last detection to the last frame, in seconds.
     pub unseen_s: f64,
     /// Time since the last frame of the camera that saw it last, in seconds, while other cameras went on.
     pub unwatched_s: f64,
-    /// Detections that are still hits_needed for its confirmation; 0: it is confirmed. The window starts with the first detection and
-    /// never moves: at its last frame there were either enough detections or too many misses.
+    /// Detections that are still needed for its confirmation; 0: it is confirmed. The window starts with the first detection and
+    /// never moves: at its last frame the track is confirmed or lost.
     hits_needed: u32,
 }
 

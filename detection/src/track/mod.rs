@@ -7,6 +7,11 @@
 //! Each of several cameras in one world has its own pose, and only the camera that saw a target last can miss it. Each target has
 //! its own time; a frame that is older is compared with the target's state at the time of that frame. Balls may fall and bounce
 //! if the parameters say so ([`ballistic`]).
+//!
+//! The files in the order of the steps: the time of a frame ([`timeline`]) and the world of its camera ([`worlds`]); the targets
+//! ([`target`]), their models of motion ([`motions`]), the Kalman filters ([`filter`]) and the fall of balls ([`ballistic`]); an
+//! object as input of the filters ([`detection`]); the assignment of detections to targets ([`association`]); and the
+//! confirmation and the end of tracks ([`life`]). [`Tracker::update_frame`] puts the steps together.
 
 mod association;
 mod ballistic;
@@ -33,8 +38,8 @@ use nalgebra::IsometryMatrix3;
 use target::Target;
 use timeline::{Advance, Timeline};
 
-/// A gap between two frames of a camera is usual if it is at most this many times the previous one: no frame could show a target
-/// sooner. Through a usual gap a target is kept even beyond `max_coast_s`.
+/// A target survives a gap between two frames of up to so many times the gap before, even beyond `max_coast_s`: no frame could
+/// have shown it sooner.
 const USUAL_GAP: f64 = 1.5; // [tuned]
 
 /// Tracks objects from frame to frame, for one camera or for several cameras with poses.
@@ -45,9 +50,9 @@ pub struct Tracker {
     world_from_camera: Vec<IsometryMatrix3<f64>>,
     has_pose: bool,
     next_id: u64,
-    /// Each in its state at the newest frame that it has taken in.
+    /// The targets, each in its state at the newest frame that it has taken in.
     targets: Vec<Target>,
-    /// The same targets at the time of the present frame.
+    /// The targets, predicted to the time of the present frame.
     predicted: Vec<Target>,
     detections: Vec<Detection>,
     association: Association,
@@ -122,8 +127,8 @@ impl Tracker {
     /// The method: updates the tracks with the objects of a frame, which are in the camera frame; returns the live tracks by
     /// identity.
     pub fn update_frame(&mut self, header: &Header, objects: &[Object]) -> &[Track] {
-        // T1. Time: when the frame was taken, and how long after the last one (`timeline.rs`). Targets that were unseen for too
-        //     long are removed.
+        // T1. Time and world: when the frame was taken, and how long after the last one (`timeline.rs`); each world has a tracker
+        //     of its own (`worlds.rs`). Targets of a source that began a new run, and those unseen for too long, are removed.
         let time = self.timeline.advance(header);
         if time.new_run {
             self.targets.retain(|target| target.seen_by != time.source);

@@ -2,9 +2,9 @@
 //! Kirubarajan 2001, section 11.6.6). How an object moves is not known beforehand: it stands or moves evenly, is carried, is
 //! thrown about, or falls. Each of these is a model with its own filter, and the detections determine the probability of each.
 //!
-//! An object that is seen starts to follow a new model at the rate `r`, any of the `n` that it may follow. So after `dt` seconds
-//! model `j` has the probability `c_j = s w_j + (1 - s) / n` with `s = exp(-r dt)`, and its filter continues from a mixture of
-//! its own motion, of weight `s w_j`, and of the mean over all models. A detection `z` then gives `w_j ~ c_j N(z; H x_j, S_j)`.
+//! An object that is seen starts to follow a new model at the rate `r`, any of the `N` that it may follow. So after `dt` seconds
+//! model `j` has the probability `c_j = h w_j + (1 - h) / N` with `h = exp(-r dt)`, and its filter continues from a mixture of
+//! its own motion, of weight `h w_j`, and of the mean over all models. A detection `z` then gives `w_j ~ c_j N(z; H x_j, S_j)`.
 
 use super::ballistic::Ballistic;
 use super::detection::Detection;
@@ -53,7 +53,7 @@ impl Manner {
 #[derive(Clone, Debug)]
 struct Model {
     manner: Manner,
-    /// 0 where the object cannot move in this manner.
+    /// Probability that the object moves in this manner; 0 if it cannot.
     probability: f64,
     motion: Motion,
 }
@@ -61,7 +61,7 @@ struct Model {
 /// The fall of a ball.
 #[derive(Clone, Copy, Debug)]
 pub struct Fall {
-    /// Gravity, and the floor on which it bounces.
+    /// Gravity, and the floor on which the ball bounces.
     pub ballistic: Ballistic,
     /// The radius of the ball, in metres.
     pub radius: f64,

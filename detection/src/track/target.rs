@@ -31,9 +31,9 @@ pub struct Target {
     id: u64,
     /// Time of the state: that of the newest frame taken in, in nanoseconds.
     at_ns: i128,
-    /// The shape as which it was seen most often.
+    /// Kind as which the object was seen most often.
     pub kind: ObjectKind,
-    /// Its life cycle: how long and how often it was seen.
+    /// Life cycle of the track: how long and how often it was seen.
     pub life: Life,
     votes: [u32; ObjectKind::ALL.len()],
     motions: Motions,
@@ -43,9 +43,9 @@ pub struct Target {
     sense: u32,
     common: CommonError,
     last_seen: Object,
-    /// The source that saw it last.
+    /// Source that saw the object last.
     pub seen_by: usize,
-    /// Time of that sighting, in nanoseconds.
+    /// Time when `seen_by` saw the object, in nanoseconds.
     seen_at_ns: i128,
 }
 
@@ -128,7 +128,7 @@ impl Target {
         }
     }
 
-    /// Returns the model of its fall, if it may fall.
+    /// Returns the model of the target's fall, if it may fall.
     fn fall(&self, has_pose: bool, config: &TrackerParameters) -> Option<Fall> {
         let ballistic = may_fall(self.kind, config)?;
         Some(Fall { ballistic, radius: self.shape.radius.value, has_pose })
@@ -140,8 +140,8 @@ impl Target {
         self.cost_of(&self.motions, detection, config)
     }
 
-    /// Returns the same cost for a target that changed its velocity when it was last seen. Only its size distinguishes it from
-    /// others, so the size has to pass the gate.
+    /// Returns the cost of a pair, as [`Self::cost`] does, for a target that changed its velocity when it was last seen. Only its
+    /// size distinguishes it from others, so the size has to pass the gate.
     pub fn cost_of_manoeuvre(&self, detection: &Detection, time: &Advance, config: &TrackerParameters) -> Option<f64> {
         let looks_alike =
             self.kind == detection.kind && self.shape.radius.distance2(detection.shape.radius) < config.gate;
@@ -149,12 +149,12 @@ impl Target {
         may_be.then(|| self.cost_of(&self.pushed(time, config), detection, config))?
     }
 
-    /// Returns whether it was seen so recently that a push cannot have moved it anywhere.
+    /// Returns whether the target was seen so recently that a push cannot have moved it anywhere.
     fn is_recent(&self) -> bool {
         self.life.misses == 0 || self.life.unseen_s <= MANOEUVRE_UNSEEN_S
     }
 
-    /// Returns its motions if it changed its velocity when it was last seen.
+    /// Returns the motions of the target if it changed its velocity when it was last seen.
     fn pushed(&self, time: &Advance, config: &TrackerParameters) -> Motions {
         let since_s = (time.at_ns - self.seen_at_ns).max(0) as f64 * 1e-9;
         self.motions.clone().kicked(since_s, config)
@@ -177,7 +177,8 @@ impl Target {
         (distance2 < config.gate || passes).then(|| distance2.min(config.gate) + spread)
     }
 
-    /// Returns the same cost of the axis, for both directions across it; 0 where one of both has no axis.
+    /// Returns the cost of the axis, for both directions across it, where an outlier costs no more than an axis at the gate; 0
+    /// where target or detection has no axis.
     fn axis_cost(&self, detection: &Detection, config: &TrackerParameters) -> Option<f64> {
         let Some((axis, seen)) = self.shape.axis.zip(detection.shape.axis) else { return Some(0.0) };
         let distance2 = axis.distance2(seen);
@@ -186,7 +187,7 @@ impl Target {
         (distance2 < config.gate || passes).then(|| distance2.min(config.gate) + spread)
     }
 
-    /// Returns whether it was seen often enough to be confirmed.
+    /// Returns whether the target was seen often enough to be confirmed.
     pub fn is_confirmed(&self) -> bool {
         self.life.state() != TrackState::Tentative
     }

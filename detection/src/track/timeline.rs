@@ -22,7 +22,7 @@ struct Frame {
     epoch: u64,
     sequence: u64,
     stamp_ns: u64,
-    /// Its stamp in the shared time.
+    /// Stamp of the frame in the shared time.
     at_ns: i128,
     /// Time since the frame before; `None` for the first.
     period_ns: Option<i128>,
@@ -52,10 +52,10 @@ impl Timeline {
 
     /// Advances to the time of a message.
     ///
-    /// A source that restarts (another epoch) and continues its sequence numbers stays in the same run. The sources share a clock
-    /// until the stamps of one stand still or go back, or are far from those of the others: from then on only the differences of
-    /// its stamps count. Clocks less than a second apart count as one. A frame that is older than one of another camera is late,
-    /// and takes no time.
+    /// A source that restarts (another epoch) and continues its sequence numbers stays in the same run. The sources share a
+    /// clock. A source whose stamps stand still or go back, or are far from those of the others, leaves it: from then on only the
+    /// differences of its stamps count. Clocks less than a second apart count as one. A frame that is older than one of another
+    /// camera is late, and takes no time.
     pub fn advance(&mut self, header: &Header) -> Advance {
         let mut frame = Frame::of(header);
         let known = self.sources.iter().position(|known| known.stage == frame.stage);
