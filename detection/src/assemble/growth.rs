@@ -73,6 +73,34 @@ impl Gate {
     }
 }
 
+/// Collects the seed with its neighbours on both sides, in the order of the lines.
+pub(crate) fn chain(arcs: &Arcs, seed: usize, gap: i64, free: impl Fn(usize) -> bool + Copy, chain: &mut Vec<usize>) {
+    chain.clear();
+    for side in [-1, 1] {
+        let mut at = seed;
+        for _ in 0..MAX_CHAIN_SIDE {
+            let Some(next) = arcs.beside(at, side, gap, free) else { break };
+            chain.push(next);
+            at = next;
+        }
+        if side < 0 {
+            chain.reverse();
+            chain.push(seed);
+        }
+    }
+}
+
+/// Checks that a chain has enough arcs, and that together they are surely curved.
+pub(crate) fn is_promising(arcs: &Arcs, chain: &[usize], parameters: &AssemblerParameters) -> Result<(), Rejection> {
+    if chain.len() < parameters.pooled.min_lines as usize {
+        return Err(Rejection::FewRows);
+    }
+    let bulge: f64 = chain.iter().map(|&index| arcs.arcs[index].bulge).sum();
+    let [mean, variance] = STRAIGHT.map(|moment| moment * chain.len() as f64);
+    let variance = variance * arcs.shared_lines(chain);
+    if bulge > mean + CHAIN_SIGMAS * variance.sqrt() { Ok(()) } else { Err(Rejection::Flat) }
+}
+
 /// Buffers of the growth.
 #[derive(Debug, Default)]
 pub(crate) struct RegionGrower {
@@ -103,34 +131,6 @@ impl RegionGrower {
         let cone = grow(&Start { kind: ObjectKind::Cone, chain: longer, guess, ..start }, cones).grown;
         [sphere, cylinder, cone]
     }
-}
-
-/// Collects the seed with its neighbours on both sides, in the order of the lines.
-pub(crate) fn chain(arcs: &Arcs, seed: usize, gap: i64, free: impl Fn(usize) -> bool + Copy, chain: &mut Vec<usize>) {
-    chain.clear();
-    for side in [-1, 1] {
-        let mut at = seed;
-        for _ in 0..MAX_CHAIN_SIDE {
-            let Some(next) = arcs.beside(at, side, gap, free) else { break };
-            chain.push(next);
-            at = next;
-        }
-        if side < 0 {
-            chain.reverse();
-            chain.push(seed);
-        }
-    }
-}
-
-/// Checks that a chain has enough arcs, and that together they are surely curved.
-pub(crate) fn is_promising(arcs: &Arcs, chain: &[usize], parameters: &AssemblerParameters) -> Result<(), Rejection> {
-    if chain.len() < parameters.pooled.min_lines as usize {
-        return Err(Rejection::FewRows);
-    }
-    let bulge: f64 = chain.iter().map(|&index| arcs.arcs[index].bulge).sum();
-    let [mean, variance] = STRAIGHT.map(|moment| moment * chain.len() as f64);
-    let variance = variance * arcs.shared_lines(chain);
-    if bulge > mean + CHAIN_SIGMAS * variance.sqrt() { Ok(()) } else { Err(Rejection::Flat) }
 }
 
 /// Start of a growth.
