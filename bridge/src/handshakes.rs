@@ -49,7 +49,7 @@ impl Visit for Message {
 }
 
 /// Logs the reasons that were found since the last call.
-pub(crate) fn tell() {
+pub(crate) fn report() {
     let (heard, _) = &mut *lock(&HEARD);
     heard.drain(..).for_each(|reason| tracing::error!("{reason}"));
 }

@@ -62,7 +62,7 @@ fn carry(
     let mut reporter = BridgeReporter::new(bridge, run, record, &links);
     reporter.report(false);
     let mut failed = || {
-        handshakes::tell();
+        handshakes::report();
         reporter.report(false);
     };
     look_up(&bridge.settings.connect);
@@ -172,7 +172,7 @@ impl<'a> Watch<'a> {
     }
 
     fn report(&mut self) {
-        handshakes::tell();
+        handshakes::report();
         let reachable = self.sessions.reach_anybody();
         self.reporter.report(reachable);
         if reachable {

@@ -100,7 +100,7 @@ impl Successor {
 
     /// Reports that this process is ready, and receives every message from `first` on. A broken pipe is no error: the launcher no
     /// longer wants it, and [`Self::await_turn`] then returns `false`.
-    pub(crate) fn is_ready(&mut self, first: &Watermark) -> io::Result<()> {
+    pub(crate) fn report_ready(&mut self, first: &Watermark) -> io::Result<()> {
         write(&self.handover.first, first)?;
         match self.launcher.write_all(b"r") {
             Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
@@ -153,7 +153,7 @@ pub(super) mod tests {
         let folder = tempfile::tempdir().unwrap();
         let (mut successor, launcher) = successor(folder.path(), "a");
         drop(launcher);
-        successor.is_ready(&Watermark::default()).unwrap();
+        successor.report_ready(&Watermark::default()).unwrap();
         assert!(successor.wait_for_dismissal());
         assert!(!successor.await_turn(|| false));
     }
@@ -164,7 +164,7 @@ pub(super) mod tests {
         let (mut successor, mut launcher) = successor(folder.path(), "a");
         let [of_stage, of_other] = ["a", "b"].map(|stage| Handover::of(folder.path(), stage));
         assert_eq!((of_stage.first(), of_stage.last()), (Watermark::default(), None), "nothing is told");
-        successor.is_ready(&mark(4)).unwrap();
+        successor.report_ready(&mark(4)).unwrap();
         let mut told = [0; 2];
         assert_eq!(launcher.read(&mut told).unwrap(), 1, "the launcher hears of it");
         of_stage.leave(&mark(3)).unwrap();
@@ -199,9 +199,9 @@ pub(super) mod tests {
         let (mut successor, _launcher) = successor(folder.path(), "a");
         successor.launcher.set_nonblocking(true).unwrap();
         while successor.launcher.write(&[0; 4096]).is_ok() {}
-        assert_eq!(successor.is_ready(&mark(0)).unwrap_err().kind(), ErrorKind::WouldBlock, "it does not listen");
+        assert_eq!(successor.report_ready(&mark(0)).unwrap_err().kind(), ErrorKind::WouldBlock, "it does not listen");
         let (mut successor, _launcher) = self::successor(&folder.path().join("nowhere"), "a");
-        assert_eq!(successor.is_ready(&mark(0)).unwrap_err().kind(), ErrorKind::NotFound);
+        assert_eq!(successor.report_ready(&mark(0)).unwrap_err().kind(), ErrorKind::NotFound);
     }
 
     #[test]

@@ -42,11 +42,11 @@ pub struct InputPort<R: Reader> {
     /// Writer and number of the last message that an earlier process counted, if this one has received it, too.
     counted: Option<(Text<32>, u64)>,
     /// By writer: number after the last received message.
-    came: BTreeMap<Text<32>, u64>,
+    next_numbers: BTreeMap<Text<32>, u64>,
     /// Writers of messages that were received since the last acknowledgement.
     unacknowledged: BTreeSet<Text<32>>,
     /// By writer: last acknowledged position.
-    said: BTreeMap<Text<32>, u64>,
+    acknowledged: BTreeMap<Text<32>, u64>,
     /// Whether the writers have counted their messages from the start of this run.
     has_all_from_first: bool,
     /// The stage that it drives, which does not get messages again that it has died on too often.
@@ -69,9 +69,9 @@ impl<R: Reader> InputPort<R> {
             worked_on: Watermark::default(),
             predecessor: Watermark::default(),
             counted: None,
-            came: BTreeMap::new(),
+            next_numbers: BTreeMap::new(),
             unacknowledged: BTreeSet::new(),
-            said: BTreeMap::new(),
+            acknowledged: BTreeMap::new(),
             has_all_from_first: false,
             driven: None,
             nonsense: ThrottledWarning::default(),
@@ -87,7 +87,7 @@ impl<R: Reader> InputPort<R> {
         }
         (&self.ended, &self.last_frame, &self.last_number, bytemuck::bytes_of(&self.counts)).hash(hasher);
         (&self.worked_on, &self.predecessor, &self.counted).hash(hasher);
-        (&self.came, &self.unacknowledged, &self.said).hash(hasher);
+        (&self.next_numbers, &self.unacknowledged, &self.acknowledged).hash(hasher);
     }
 
     /// Type of its items.
@@ -158,11 +158,11 @@ impl<R: Reader> InputPort<R> {
                 headers.filter(|header| header.writer() == writer).map(|header| header.number).min()
             };
             let waits = own(&mut kept.clone()).into_iter().chain(own(&mut self.buffered())).min();
-            let came = self.came.get(&writer).copied().unwrap_or_default();
+            let came = self.next_numbers.get(&writer).copied().unwrap_or_default();
             let next = waits.map_or(came, |first| first.min(came));
             // Released messages are not requested again. A restarted stage of another machine may number from 0 again.
-            if self.said.get(&writer).is_none_or(|said| *said < next || *said > came) {
-                self.said.insert(writer, next);
+            if self.acknowledged.get(&writer).is_none_or(|said| *said < next || *said > came) {
+                self.acknowledged.insert(writer, next);
                 self.reader.acknowledge(writer, next);
             }
             if waits.is_some() {
@@ -400,14 +400,14 @@ impl<R: Reader> InputPort<R> {
         let is_news = self.in_sequence(header, source);
         if is_news {
             // A restarted stage of another machine numbers from 0 again.
-            self.came.insert(writer, header.number.saturating_add(1));
+            self.next_numbers.insert(writer, header.number.saturating_add(1));
         }
         is_news
     }
 
     /// Records that the messages of `writer` with numbers below `next` were received.
     fn note_came(&mut self, writer: Text<32>, next: u64) {
-        let came = self.came.entry(writer).or_default();
+        let came = self.next_numbers.entry(writer).or_default();
         *came = next.max(*came);
         self.unacknowledged.insert(writer);
     }

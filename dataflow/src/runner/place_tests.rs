@@ -90,7 +90,7 @@ fn a_stage_that_is_to_leave_works_on_what_its_successor_does_not_get_and_tells_n
     let (mut writer, mut viewer) = (trial.writer(&input), trial.viewer());
     let wiring = Wiring { input: Some(input), output: Some(trial.output()), ..Wiring::default() };
     let (mut next, _launcher) = successor(trial.folder.path(), "stage");
-    next.is_ready(&mark(2)).unwrap();
+    next.report_ready(&mark(2)).unwrap();
     trial.stop.leave();
     let (result, ()) = trial.run(wiring, || send(&mut writer, (0..4).map(|number| from("upstream", number))));
     result.unwrap();
@@ -107,7 +107,7 @@ fn a_stage_that_is_to_leave_when_its_input_has_ended_ends_itself() {
     let (mut writer, viewer) = (trial.writer(&input), trial.viewer());
     let wiring = Wiring { input: Some(input), output: Some(trial.output()), ..Wiring::default() };
     let (mut next, _launcher) = successor(trial.folder.path(), "stage");
-    next.is_ready(&mark(9)).unwrap();
+    next.report_ready(&mark(9)).unwrap();
     trial.stop.leave();
     let (result, sent) = trial.run(wiring, || {
         send(&mut writer, [from("upstream", 0), end_of("upstream", 1)]);
@@ -125,7 +125,7 @@ fn a_stage_that_is_to_leave_when_the_run_ends_ends_itself() {
     let (mut writer, viewer) = (trial.writer(&input), trial.viewer());
     let wiring = Wiring { input: Some(input), output: Some(trial.output()), ..Wiring::default() };
     let (mut next, _launcher) = successor(trial.folder.path(), "stage");
-    next.is_ready(&mark(9)).unwrap();
+    next.report_ready(&mark(9)).unwrap();
     trial.stop.leave();
     let (result, sent) = trial.run(wiring, || {
         send(&mut writer, [from("upstream", 0)]);

@@ -68,7 +68,7 @@ impl PulledSource {
     /// # Errors
     /// Its ports failed.
     pub fn next_number(&mut self) -> Result<Option<u64>, RunError> {
-        if self.is_over || !self.place.is_due() {
+        if self.is_over || !self.place.wait_until_due() {
             return Ok(None);
         }
         self.place.find_side_inputs()?;

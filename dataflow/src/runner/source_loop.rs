@@ -56,7 +56,7 @@ pub(crate) fn run_source<T: Transport>(new: &NewSource<'_>, mut runtime: StageRu
     let (stage, resumed_at) = (runtime.context.stage.clone(), runtime.context.resume_at);
     let place = SourcePlace::begin(runtime, side_inputs, output_port, source.total(), source.rhythm())?;
     let mut running = SourceLoop { source, output, place, memory_trim };
-    while running.place.is_due() && running.make_one()? {}
+    while running.place.wait_until_due() && running.make_one()? {}
     let SourceLoop { mut source, place, .. } = running;
     place.tell_if_nothing_was_left(&stage, resumed_at);
     place.end(|| source.finish())
@@ -76,7 +76,7 @@ fn counted(status: &Status) -> BTreeMap<String, u64> {
 /// came.
 pub(crate) fn takes_place<T: Transport>(runtime: &mut StageRuntime<T>) -> Result<bool, RunError> {
     let Some(mut successor) = runtime.successor.take() else { return Ok(true) };
-    successor.is_ready(&Watermark::default()).map_err(|error| RunError::Refused(error.into()))?;
+    successor.report_ready(&Watermark::default()).map_err(|error| RunError::Refused(error.into()))?;
     let stop = runtime.context.stop.clone();
     let turn = successor.await_turn(|| stop.forced());
     if turn {
@@ -108,7 +108,7 @@ impl<T: Transport> SourcePlace<T> {
     }
 
     /// Waits until the next message is due; `false` if the source is to end.
-    pub(crate) fn is_due(&mut self) -> bool {
+    pub(crate) fn wait_until_due(&mut self) -> bool {
         if self.frames.is_some_and(|frames| self.made >= frames) {
             return false;
         }

@@ -34,7 +34,7 @@ pub(crate) fn take_place<T: Transport>(
     }
     let (_, input_port) = &mut inputs;
     let fault = |error: std::io::Error| RunError::Refused(error.into());
-    successor.is_ready(&input_port.first_buffered()).map_err(fault)?;
+    successor.report_ready(&input_port.first_buffered()).map_err(fault)?;
     let stop = runtime.context.stop.clone();
     if !successor.await_turn(|| stop.forced()) {
         return Ok(None);

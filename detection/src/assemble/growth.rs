@@ -470,8 +470,8 @@ mod tests {
     #[test]
     fn what_a_cylinder_explains_as_a_whole_is_no_sphere_because_of_its_middle() {
         let (arcs, [left, _]) = two_cans();
-        let mut growing = RegionGrower { chain: left, ..RegionGrower::default() };
-        let [sphere, cylinder, _] = growing.models(&arcs, &AssemblerParameters::default(), |_| true);
+        let mut grower = RegionGrower { chain: left, ..RegionGrower::default() };
+        let [sphere, cylinder, _] = grower.models(&arcs, &AssemblerParameters::default(), |_| true);
         assert!(matches!(sphere, Err(Rejection::NotGrown)) && cylinder.is_ok(), "{sphere:?}");
     }
 
@@ -541,12 +541,12 @@ mod tests {
     fn what_has_grown_is_fitted_to_all_that_it_explains() {
         let (can, ball) = (Vector3::new(0.0, 0.25, 1.4), Vector3::new(0.0, -0.02, 1.4));
         let arcs = arcs_of(&[cylinder(can, Vector3::y(), 0.1, 0.3), sphere(ball, 0.12)]);
-        let (mut growing, parameters, mut grown) = (RegionGrower::default(), AssemblerParameters::default(), 0);
+        let (mut grower, parameters, mut grown) = (RegionGrower::default(), AssemblerParameters::default(), 0);
         for seed in rows_of(&arcs, |_| true) {
-            chain(&arcs, seed, parameters.max_gap(), |_| true, &mut growing.chain);
-            let models = growing.models(&arcs, &parameters, |_| true);
+            chain(&arcs, seed, parameters.max_gap(), |_| true, &mut grower.chain);
+            let models = grower.models(&arcs, &parameters, |_| true);
             // Too few lines do not determine a cone.
-            for (model, members) in models.into_iter().zip(&growing.members).take(2) {
+            for (model, members) in models.into_iter().zip(&grower.members).take(2) {
                 let Ok(model) = model else { continue };
                 let again = model::fit(model.kind(), &arcs.of(members), Some(&model), f64::INFINITY).unwrap();
                 assert!((again.square_sum() - model.square_sum()).abs() < 0.5, "{model:?} {again:?}");

@@ -30,11 +30,11 @@ pub(crate) enum Model {
 
 /// Evaluates an expression of the fit, whatever the shape.
 macro_rules! of_fit {
-    ($model:expr, $fit:ident => $told:expr) => {
+    ($model:expr, $fit:ident => $value:expr) => {
         match $model {
-            $crate::assemble::model::Model::Sphere($fit) => $told,
-            $crate::assemble::model::Model::Cylinder($fit) => $told,
-            $crate::assemble::model::Model::Cone($fit) => $told,
+            $crate::assemble::model::Model::Sphere($fit) => $value,
+            $crate::assemble::model::Model::Cylinder($fit) => $value,
+            $crate::assemble::model::Model::Cone($fit) => $value,
         }
     };
 }

@@ -452,12 +452,12 @@ fn what_is_surely_larger_than_its_limit_does_not_grow_on_and_what_may_be_smaller
     let mut parameters = AssemblerParameters::default();
     let mut grown = |max_m: f64, shared_lines: f64| {
         (parameters.sphere.max_m, parameters.cylinder.max_m, parameters.cone.max_m) = (max_m, max_m, max_m);
-        let (mut arcs, mut growing) = (Arcs::default(), RegionGrower::default());
+        let (mut arcs, mut grower) = (Arcs::default(), RegionGrower::default());
         arcs.read(&header, &ellipses);
         arcs.arcs.iter_mut().for_each(|arc| arc.shared_lines = shared_lines);
         let seed = arcs.arcs.iter().position(|arc| arc.scan == Scan::Row && arc.line == 120).unwrap();
-        chain(&arcs, seed, parameters.max_gap(), |_| true, &mut growing.chain);
-        growing.models(&arcs, &parameters, |_| true)[1]
+        chain(&arcs, seed, parameters.max_gap(), |_| true, &mut grower.chain);
+        grower.models(&arcs, &parameters, |_| true)[1]
     };
     assert!(grown(0.5, 1.0).is_ok());
     assert!(matches!(grown(0.1, 1.0), Err(Rejection::Radius)), "its radius is 0.2 m");

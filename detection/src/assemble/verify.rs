@@ -270,10 +270,10 @@ mod tests {
         let (center, axis) = (Vector3::new(0.0, 0.0, 2.0), Vector3::y());
         let arcs = arcs_of(&[cylinder(center, axis, 0.2, 0.7)]);
         let seed = arcs.arcs.iter().position(|arc| arc.scan == Scan::Row && arc.line == 120).unwrap();
-        let (mut growing, mut parameters) = (RegionGrower::default(), AssemblerParameters::default());
-        chain(&arcs, seed, parameters.max_gap(), |_| true, &mut growing.chain);
-        let Ok(model) = growing.models(&arcs, &parameters, |_| true)[1] else { panic!("no cylinder") };
-        let region = Region { arcs: &arcs, model, members: &growing.members[1] };
+        let (mut grower, mut parameters) = (RegionGrower::default(), AssemblerParameters::default());
+        chain(&arcs, seed, parameters.max_gap(), |_| true, &mut grower.chain);
+        let Ok(model) = grower.models(&arcs, &parameters, |_| true)[1] else { panic!("no cylinder") };
+        let region = Region { arcs: &arcs, model, members: &grower.members[1] };
         let lines = measure(&region).lines;
         let mut is_too_low = |min_lines: u32| {
             parameters.pooled.min_lines = min_lines;

@@ -39,7 +39,7 @@ impl NoiseEstimate {
     }
 
     /// Returns the number of pixels along a line, and of lines, that share the noise, and the number of lines that are averaged.
-    pub fn seen_along(&self, scan: Scan) -> ([f64; 2], u32) {
+    pub fn along(&self, scan: Scan) -> ([f64; 2], u32) {
         let ([rows, columns], [of_rows, of_columns]) = (self.correlation_px, self.averaged);
         match scan {
             Scan::Row => ([rows, columns], of_rows),

@@ -140,11 +140,11 @@ fn of_another_growth(
             let is_of_it = |sample: &NoiseSample| (sample.depth < border) == (half.depth < border);
             if half.scatter > UNSMOOTHED { half.scatter } else { half.scatter.max(share(of_curves, is_of_it)) }
         };
-        let told = |model: &NoiseModel, depth: f64| model.variance(depth).max(view.least);
-        let last = |depth: f64| told(&model, depth);
+        let variance_of = |model: &NoiseModel, depth: f64| model.variance(depth).max(view.least);
+        let last = |depth: f64| variance_of(&model, depth);
         let next = through(depths, halves.map(|half| factor(half).sqrt()), last);
         for sample in of_neighbors.iter_mut().chain(&mut *of_curves) {
-            sample.square *= last(sample.depth) / told(&next, sample.depth);
+            sample.square *= last(sample.depth) / variance_of(&next, sample.depth);
         }
         model = next;
         halves = self::halves(of_neighbors);

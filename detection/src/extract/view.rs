@@ -120,7 +120,7 @@ impl View {
         [self.lines, self.length] = if scan == Scan::Row { size } else { [size[1], size[0]] };
         self.step = self.parameters.line_step.max(1) * averaging::step(noise.averaged, size);
         (self.scan, self.camera) = (scan, pinhole(&header.camera));
-        let ([along, across], averaged) = noise.seen_along(scan);
+        let ([along, across], averaged) = noise.along(scan);
         // Variance of a mean over lines relative to that of one line; more lines share the noise of means by its inverse.
         let left = averaging::variance(averaged, across);
         (self.noise, self.level, self.scale) = (noise.model, left * noise.level, header.depth_scale);

@@ -64,7 +64,7 @@ impl Timeline {
         let now_ns = self.now_ns.unwrap_or(frame.at_ns);
         let at_ns = match known {
             Some(_) if new_run => now_ns,
-            Some(known) => self.goes_on(&self.sources[known], &frame),
+            Some(known) => self.time_after(&self.sources[known], &frame),
             None => frame.at_ns,
         };
         let is_ahead = known.is_none() && at_ns > now_ns + OTHER_CLOCK_NS;
@@ -81,7 +81,7 @@ impl Timeline {
     }
 
     /// Returns the time of a message that follows the last one of its source.
-    fn goes_on(&self, last: &Frame, frame: &Frame) -> i128 {
+    fn time_after(&self, last: &Frame, frame: &Frame) -> i128 {
         let passed_ns = if frame.stamp_ns > last.stamp_ns {
             i128::from(frame.stamp_ns - last.stamp_ns)
         } else {
