@@ -317,9 +317,7 @@ fn a_bridge_that_is_killed_at_the_end_of_a_run_loses_nothing_and_keeps_nobody_wa
         let endpoint = loopback();
         let text = finding_apart(&endpoint).replace("rate_hz    = 0", &format!("rate_hz = 20\nframes = {FRAMES}"));
         let machines = machines(&text);
-        let base = start(&machines[1], "base");
-        wait_until("the base listens", || std::net::TcpStream::connect(&endpoint[4..]).is_ok());
-        let mut runs = [start(&machines[0], "robot"), base];
+        let mut runs = [start(&machines[0], "robot"), start(&machines[1], "base")];
         runs[1].wait_until("the last list arrives", || machines[1].count("tracks.jsonl") as u64 == FRAMES);
         std::thread::sleep(Duration::from_millis(after_ms));
         let process = process_of(&machines[killed], "bridge");
