@@ -198,11 +198,11 @@ fn who_is_started_anew_works_on_what_was_not_finished_and_counts_each_message_on
     let mut next = kept.input();
     next.resume(record);
     assert_eq!(
-        next.worked_on().numbers,
+        next.position().numbers,
         [(Text::new(WRITER), 1)].into(),
         "its successor need not do them again either"
     );
-    assert_eq!(next.worked_on().frames, [(Text::new(WRITER), (1, 1))].into());
+    assert_eq!(next.position().frames, [(Text::new(WRITER), (1, 1))].into());
     assert_eq!(take_all(&mut next), [2, 3, 4]);
     assert_eq!(counted(&next.counts()), [5, 0, 0, 0]);
     next.acknowledge();
@@ -390,10 +390,10 @@ fn a_successor_works_on_what_its_predecessor_did_not_and_on_nothing_else() {
     kept.send((2..6).map(|number| by("left", number)));
     input_port.buffer_newest().unwrap();
     input_port.resume_from_handover(last.clone());
-    assert_eq!(*input_port.worked_on(), last);
+    assert_eq!(*input_port.position(), last);
     assert_eq!(take_all(&mut input_port), [4, 5]);
     assert_eq!(counted(&input_port.counts()), [2, 0, 0, 0]);
-    assert_eq!(input_port.worked_on().numbers[&Text::new("left")], 5);
+    assert_eq!(input_port.position().numbers[&Text::new("left")], 5);
     // A restarted stage of another machine.
     kept.send([Header { epoch: 2, ..by("left", 0) }]);
     assert_eq!(take(&mut input_port), Some(0));

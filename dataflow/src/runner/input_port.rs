@@ -1,16 +1,17 @@
 //! Input of a stage: decides which of the received messages is processed, and counts the others.
 
+mod restart;
+mod swap;
+
 use super::handover::Watermark;
 use crate::item_type::ItemType;
 use crate::log::ThrottledWarning;
-use crate::ports::{Delivery, MAX_KEPT, PortError, Reader, Received};
+use crate::ports::{Delivery, PortError, Reader, Received};
 use crate::status::{InputCounts, LastMessage};
 use conicflow_messages::{Header, Text};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
-/// Maximum number of messages that are taken in a row.
-const MOST_AT_ONCE: usize = 64;
 /// Number of deaths on a message after which the stage does not get it again.
 const MOST_DEATHS: u64 = 2;
 
@@ -29,18 +30,23 @@ pub(crate) enum Step<M> {
 pub struct InputPort<R: Reader> {
     reader: R,
     delivery: Delivery,
+    /// Number of writers of the topic.
     writers: usize,
+    /// Writers that have ended their stream.
     ended: BTreeSet<String>,
+    /// Received messages that were not taken yet.
     pending: VecDeque<R::Message>,
+    /// By source: epoch and sequence number of the last frame.
     last_frame: BTreeMap<Text<32>, (u64, u64)>,
+    /// By writer: number of the last message.
     last_number: BTreeMap<Text<32>, u64>,
     counts: InputCounts,
     /// Position of this process.
-    worked_on: Watermark,
+    position: Watermark,
     /// Position of its predecessor.
-    predecessor: Watermark,
+    predecessor_position: Watermark,
     /// Writer and number of the last message that an earlier process counted, if this one has received it, too.
-    counted: Option<(Text<32>, u64)>,
+    last_counted: Option<(Text<32>, u64)>,
     /// By writer: number after the last received message.
     next_numbers: BTreeMap<Text<32>, u64>,
     /// Writers of messages that were received since the last acknowledgement.
@@ -51,7 +57,7 @@ pub struct InputPort<R: Reader> {
     has_all_from_first: bool,
     /// The stage that it drives, which does not get messages again that it has died on too often.
     driven: Option<Text<32>>,
-    nonsense: ThrottledWarning,
+    malformed_warning: ThrottledWarning,
 }
 
 impl<R: Reader> InputPort<R> {
@@ -66,15 +72,15 @@ impl<R: Reader> InputPort<R> {
             last_frame: BTreeMap::new(),
             last_number: BTreeMap::new(),
             counts: InputCounts { topic: Text::new(topic), ..InputCounts::default() },
-            worked_on: Watermark::default(),
-            predecessor: Watermark::default(),
-            counted: None,
+            position: Watermark::default(),
+            predecessor_position: Watermark::default(),
+            last_counted: None,
             next_numbers: BTreeMap::new(),
             unacknowledged: BTreeSet::new(),
             acknowledged: BTreeMap::new(),
             has_all_from_first: false,
             driven: None,
-            nonsense: ThrottledWarning::default(),
+            malformed_warning: ThrottledWarning::default(),
         }
     }
 
@@ -86,7 +92,7 @@ impl<R: Reader> InputPort<R> {
             (header.number, header.sequence, header.epoch, header.flags).hash(hasher);
         }
         (&self.ended, &self.last_frame, &self.last_number, bytemuck::bytes_of(&self.counts)).hash(hasher);
-        (&self.worked_on, &self.predecessor, &self.counted).hash(hasher);
+        (&self.position, &self.predecessor_position, &self.last_counted).hash(hasher);
         (&self.next_numbers, &self.unacknowledged, &self.acknowledged).hash(hasher);
     }
 
@@ -95,13 +101,31 @@ impl<R: Reader> InputPort<R> {
         self.reader.item()
     }
 
+    /// Sets the stage that this input drives.
+    pub(crate) fn drive(&mut self, stage: &str) {
+        self.driven = Some(Text::new(stage));
+    }
+
+    /// Declares that its writers belong to this run: messages that they sent before the first received one count as lost.
+    pub(crate) fn expect_from_first(&mut self) {
+        self.has_all_from_first = self.delivery == Delivery::Lossless;
+    }
+
+    /// Sleeps until a message may have come, at most for `timeout`.
+    ///
+    /// # Errors
+    /// The transport failed.
+    pub fn wait(&mut self, timeout: Duration) -> Result<(), PortError> {
+        self.reader.wait(timeout)
+    }
+
     /// Takes the next message, if there is one.
     ///
     /// # Errors
     /// The transport failed.
     pub fn take(&mut self) -> Result<Option<R::Message>, PortError> {
-        let Some((message, which)) = self.next()? else { return Ok(None) };
-        self.count_taken(which, false);
+        let Some((message, identity)) = self.next()? else { return Ok(None) };
+        self.count_taken(identity, false);
         Ok(Some(message))
     }
 
@@ -110,13 +134,13 @@ impl<R: Reader> InputPort<R> {
     /// # Errors
     /// The transport failed.
     pub(crate) fn take_step(&mut self) -> Result<Step<R::Message>, PortError> {
-        let Some((message, which)) = self.next()? else { return Ok(Step::Nothing) };
-        let is_deadly = self.reader.begin(which.writer, which.number) > MOST_DEATHS;
-        self.count_taken(which, is_deadly);
+        let Some((message, identity)) = self.next()? else { return Ok(Step::Nothing) };
+        let is_deadly = self.reader.begin(identity.writer, identity.number) > MOST_DEATHS;
+        self.count_taken(identity, is_deadly);
         if !is_deadly {
             return Ok(Step::Message(message));
         }
-        let (stage, topic, frame) = (self.driven.unwrap_or_default(), &self.counts.topic, which.sequence);
+        let (stage, topic, frame) = (self.driven.unwrap_or_default(), &self.counts.topic, identity.sequence);
         tracing::error!(
             "stage `{stage}` leaves out frame {frame} of topic `{topic}`, which it has died of {MOST_DEATHS} times"
         );
@@ -135,243 +159,9 @@ impl<R: Reader> InputPort<R> {
         let header = message.header();
         let (source, writer) = (header.origin(), header.writer());
         let &Header { number, epoch, sequence, .. } = header;
-        self.worked_on.numbers.insert(writer, number);
-        self.worked_on.frames.insert(source, (epoch, sequence));
+        self.position.numbers.insert(writer, number);
+        self.position.frames.insert(source, (epoch, sequence));
         Ok(Some((message, LastMessage { writer, number, source, epoch, sequence })))
-    }
-
-    /// Sets the stage that this input drives.
-    pub(crate) fn drive(&mut self, stage: &str) {
-        self.driven = Some(Text::new(stage));
-    }
-
-    /// Declares that its writers belong to this run: messages that they sent before the first received one count as lost.
-    pub(crate) fn expect_from_first(&mut self) {
-        self.has_all_from_first = self.delivery == Delivery::Lossless;
-    }
-
-    /// Acknowledges all received messages except those that are pending here or in `kept`: a restart of this stage does not need
-    /// them.
-    pub(crate) fn acknowledge_but<'a>(&mut self, kept: impl Iterator<Item = &'a Header> + Clone) {
-        for writer in std::mem::take(&mut self.unacknowledged) {
-            let own = |headers: &mut dyn Iterator<Item = &Header>| {
-                headers.filter(|header| header.writer() == writer).map(|header| header.number).min()
-            };
-            let waits = own(&mut kept.clone()).into_iter().chain(own(&mut self.buffered())).min();
-            let came = self.next_numbers.get(&writer).copied().unwrap_or_default();
-            let next = waits.map_or(came, |first| first.min(came));
-            // Released messages are not requested again. A restarted stage of another machine may number from 0 again.
-            if self.acknowledged.get(&writer).is_none_or(|said| *said < next || *said > came) {
-                self.acknowledged.insert(writer, next);
-                self.reader.acknowledge(writer, next);
-            }
-            if waits.is_some() {
-                self.unacknowledged.insert(writer);
-            }
-        }
-    }
-
-    /// Acknowledges all received messages except those that are pending here.
-    pub fn acknowledge(&mut self) {
-        self.acknowledge_but(std::iter::empty());
-    }
-
-    /// Whether its writers keep the messages that this stage has not finished.
-    pub(crate) fn is_kept(&self) -> bool {
-        self.reader.acknowledged().is_some()
-    }
-
-    /// Continues after the messages that an earlier process of this stage, which kept no counts, has finished.
-    pub fn go_on(&mut self) {
-        let finished = self.reader.acknowledged().unwrap_or_default();
-        self.resume_from_acknowledged(finished, LastMessage::default());
-    }
-
-    /// Counts a message, unless an earlier process of this stage has counted it.
-    fn count_taken(&mut self, message: LastMessage, is_left_out: bool) {
-        let is_known = |(writer, last): &(Text<32>, u64)| message.writer == *writer && message.number <= *last;
-        if self.counted.as_ref().is_some_and(is_known) {
-            return;
-        }
-        self.counted = None;
-        self.counts.last = message;
-        if is_left_out {
-            self.count_gap(1);
-        } else {
-            self.counts.received += 1;
-        }
-    }
-
-    /// Position of this process.
-    pub(crate) fn worked_on(&mut self) -> &Watermark {
-        self.worked_on.ended.clone_from(&self.ended);
-        &self.worked_on
-    }
-
-    /// Whether all messages before `first` were processed or can no longer come.
-    pub(crate) fn has_passed(&self, first: &Watermark) -> bool {
-        first.numbers.iter().all(|(writer, first)| {
-            let seen = self.last_number.get(writer).map_or(0, |last| last.saturating_add(1)) >= *first;
-            let is_before =
-                |message: &R::Message| message.header().writer() == *writer && message.header().number < *first;
-            (seen || self.ended.contains(writer.as_str().unwrap_or_default())) && !self.pending.iter().any(is_before)
-        })
-    }
-
-    /// Buffers received messages until this process's turn comes.
-    pub(crate) fn buffer_ahead(&mut self) -> Result<(), PortError> {
-        while self.pending.len() < MAX_KEPT {
-            let Some(message) = self.reader.receive()? else { break };
-            self.pending.push_back(message);
-        }
-        Ok(())
-    }
-
-    /// Buffers all received messages, so that no writer is blocked while another one has not sent yet. If the buffer is full, it
-    /// drops the first message of a writer of which a later one is buffered, and leaves it to the predecessor.
-    pub(crate) fn buffer_newest(&mut self) -> Result<(), PortError> {
-        for _ in 0..MOST_AT_ONCE {
-            let Some(message) = self.reader.receive()? else { break };
-            self.pending.push_back(message);
-            let Some(dispensable) = self.dispensable().filter(|_| self.pending.len() >= MAX_KEPT) else {
-                continue;
-            };
-            self.pending.remove(dispensable);
-        }
-        Ok(())
-    }
-
-    /// Index of the first message whose writer has a later one in the buffer.
-    fn dispensable(&self) -> Option<usize> {
-        let headers: Vec<_> = self.buffered().collect();
-        (0..headers.len()).find(|&index| {
-            let writer = headers[index].writer();
-            !headers[index].ends_stream() && headers[index + 1..].iter().any(|later| later.writer() == writer)
-        })
-    }
-
-    /// Headers of the buffered messages.
-    pub(crate) fn buffered(&self) -> impl Iterator<Item = &Header> {
-        self.pending.iter().map(Received::header)
-    }
-
-    /// Drops buffered messages, which the predecessor processes; never the end of a stream.
-    pub(crate) fn drop_buffered(&mut self, forget: impl Fn(&Header) -> bool) {
-        self.pending.retain(|message| message.header().ends_stream() || !forget(message.header()));
-    }
-
-    /// Whether a message of this writer is buffered.
-    pub(crate) fn has_buffered(&self, writer: &str) -> bool {
-        self.pending.iter().any(|message| message.header().writer() == Text::new(writer))
-    }
-
-    /// By writer: number of the first buffered message. An end of stream has the number that the next message would have.
-    pub(crate) fn first_buffered(&self) -> Watermark {
-        let mut first = Watermark::default();
-        for header in self.buffered() {
-            first.numbers.entry(header.writer()).or_insert(header.number);
-        }
-        first
-    }
-
-    /// Continues after the last message that the predecessor processed, with the buffered messages.
-    pub(crate) fn resume_from_handover(&mut self, last: Watermark) {
-        self.last_number.clone_from(&last.numbers);
-        self.last_frame.clone_from(&last.frames);
-        self.ended.clone_from(&last.ended);
-        self.worked_on = last.clone();
-        self.predecessor = last;
-        self.admit_buffered();
-    }
-
-    /// Checks the buffered messages and queues them.
-    pub(crate) fn admit_buffered(&mut self) {
-        for message in std::mem::take(&mut self.pending) {
-            if self.admit(&message) {
-                self.enqueue(message);
-            }
-        }
-    }
-
-    /// Whether the predecessor has processed a message. After the first new message of a writer all are new.
-    fn is_known(&mut self, header: &Header, writer: Text<32>) -> bool {
-        let known = self.predecessor.numbers.get(&writer).is_some_and(|last| header.number <= *last);
-        if !known {
-            self.predecessor.numbers.remove(&writer);
-        }
-        known
-    }
-
-    /// Sleeps until a message may have come, at most for `timeout`.
-    ///
-    /// # Errors
-    /// The transport failed.
-    pub fn wait(&mut self, timeout: Duration) -> Result<(), PortError> {
-        self.reader.wait(timeout)
-    }
-
-    /// Whether every writer has ended its stream, and no message is pending.
-    pub(crate) fn ended(&self) -> bool {
-        self.ended.len() >= self.writers && self.pending.is_empty()
-    }
-
-    /// Whether this writer has ended its stream.
-    pub fn has_ended(&self, writer: &str) -> bool {
-        self.ended.contains(writer)
-    }
-
-    /// Whether no received message is pending.
-    pub fn is_idle(&self) -> bool {
-        self.pending.is_empty()
-    }
-
-    /// Counts of this input.
-    pub fn counts(&self) -> InputCounts {
-        self.counts
-    }
-
-    /// Continues the counts of an earlier process, and continues after the messages that it finished, where the rest is sent
-    /// again. Elsewhere its received but unprocessed messages are lost; their numbers show that if all messages come from one
-    /// writer.
-    pub fn resume(&mut self, counts: InputCounts) {
-        if counts.topic != self.counts.topic {
-            return;
-        }
-        self.counts = counts;
-        let LastMessage { writer, number, source, epoch, sequence } = counts.last;
-        if let Some(finished) = self.reader.acknowledged() {
-            self.resume_from_acknowledged(finished, counts.last);
-            return;
-        }
-        if self.writers == 1 && writer != Text::default() {
-            self.last_number.entry(writer).or_insert(number);
-            if self.buffered().any(|header| header.writer() == writer && header.number <= number) {
-                self.counted = Some((writer, number));
-            } else {
-                self.last_frame.entry(source).or_insert((epoch, sequence));
-            }
-        }
-    }
-
-    /// Continues after the messages that an earlier process finished; `finished` has for each writer the number of the first
-    /// unfinished message. A side input may have been read further than that, up to `last`.
-    fn resume_from_acknowledged(&mut self, finished: Vec<(Text<32>, u64)>, last: LastMessage) {
-        for (writer, next) in finished {
-            // A process that has recorded this message has finished it, even if it died right afterwards.
-            let is_done = self.driven.is_some() && writer == last.writer;
-            let next = if is_done { next.max(last.number.saturating_add(1)) } else { next };
-            let Some(number) = next.checked_sub(1) else { continue };
-            self.note_came(writer, next);
-            self.last_number.entry(writer).or_insert(number);
-            self.predecessor.numbers.entry(writer).or_insert(number);
-            // If this process is replaced before it has processed a message, its successor must not repeat these either.
-            self.worked_on.numbers.entry(writer).or_insert(number);
-            if writer == last.writer && last.number <= number {
-                self.last_frame.entry(last.source).or_insert((last.epoch, last.sequence));
-                self.worked_on.frames.entry(last.source).or_insert((last.epoch, last.sequence));
-            }
-        }
-        self.counted = (last.writer != Text::default()).then_some((last.writer, last.number));
     }
 
     /// Whether a message is to be processed: it is well-formed and new, and not the end of a stream.
@@ -380,36 +170,29 @@ impl<R: Reader> InputPort<R> {
         let (source, writer) = (header.origin(), header.writer());
         if let Err(error) = self.reader.item().check(header, message.bytes()) {
             self.counts.malformed += 1;
-            self.nonsense.warn(format_args!("left out a message of topic `{}`: {error}", self.counts.topic));
-            self.note_came(writer, header.number.saturating_add(1));
+            self.malformed_warning.warn(format_args!("left out a message of topic `{}`: {error}", self.counts.topic));
+            self.record_received(writer, header.number.saturating_add(1));
             return false;
         }
         if header.ends_stream() {
-            self.note_end(header, writer);
+            self.record_end(header, writer);
             return false;
         }
-        if self.is_known(header, writer) {
+        if self.predecessor_processed(header, writer) {
             return false;
         }
-        self.note_came(writer, header.number.saturating_add(1));
+        self.record_received(writer, header.number.saturating_add(1));
         if self.is_repeated(header, source, writer) {
             self.counts.late += 1;
             return false;
         }
         self.count_lost(header, writer);
-        let is_news = self.in_sequence(header, source);
-        if is_news {
+        let is_new = self.in_sequence(header, source);
+        if is_new {
             // A restarted stage of another machine numbers from 0 again.
             self.next_numbers.insert(writer, header.number.saturating_add(1));
         }
-        is_news
-    }
-
-    /// Records that the messages of `writer` with numbers below `next` were received.
-    fn note_came(&mut self, writer: Text<32>, next: u64) {
-        let came = self.next_numbers.entry(writer).or_default();
-        *came = next.max(*came);
-        self.unacknowledged.insert(writer);
+        is_new
     }
 
     /// Whether a message repeats the last one: its writer was killed after it had sent the message and before it had recorded
@@ -419,29 +202,20 @@ impl<R: Reader> InputPort<R> {
         self.last_number.get(&writer) == Some(&header.number) && self.last_frame.get(&source).is_some_and(is_same_frame)
     }
 
-    /// Records the end of a writer's stream, and counts its last messages that were never received.
-    fn note_end(&mut self, end: &Header, writer: Text<32>) {
-        self.ended.insert(writer.to_string());
-        let last = self.last_number.get(&writer).copied();
-        // With several writers, an earlier process of this stage may have received messages that this one does not know of.
-        let first = if self.writers == 1 && self.delivery == Delivery::Lossless { Some(0) } else { None };
-        let Some(next) = last.map(|last| last.saturating_add(1)).or(first) else { return };
-        let lost = end.number.saturating_sub(next);
-        if lost > 0 {
-            self.count_gap(lost);
-            self.last_number.insert(writer, end.number - 1);
+    /// Whether the predecessor has processed a message. After the first new message of a writer all are new.
+    fn predecessor_processed(&mut self, header: &Header, writer: Text<32>) -> bool {
+        let known = self.predecessor_position.numbers.get(&writer).is_some_and(|last| header.number <= *last);
+        if !known {
+            self.predecessor_position.numbers.remove(&writer);
         }
+        known
     }
 
-    /// Counts lost messages, and their frames as gaps.
-    fn count_gap(&mut self, lost: u64) {
-        self.counts.dropped = self.counts.dropped.saturating_add(lost);
-        self.counts.gaps = self.counts.gaps.saturating_add(lost);
-    }
-
-    /// Number of messages that a writer has sent, as far as is known here.
-    pub fn count_of(&self, writer: &str) -> u64 {
-        self.last_number.get(&Text::new(writer)).map_or(0, |last| last.saturating_add(1))
+    /// Records that the messages of `writer` with numbers below `next` were received.
+    fn record_received(&mut self, writer: Text<32>, next: u64) {
+        let received = self.next_numbers.entry(writer).or_default();
+        *received = next.max(*received);
+        self.unacknowledged.insert(writer);
     }
 
     /// Counts the messages of a writer that were lost before this one.
@@ -481,5 +255,76 @@ impl<R: Reader> InputPort<R> {
             self.count_gap((before - self.pending.len()) as u64);
         }
         self.pending.push_back(message);
+    }
+
+    /// Counts a message, unless an earlier process of this stage has counted it.
+    fn count_taken(&mut self, message: LastMessage, is_left_out: bool) {
+        let has_counted = |(writer, last): &(Text<32>, u64)| message.writer == *writer && message.number <= *last;
+        if self.last_counted.as_ref().is_some_and(has_counted) {
+            return;
+        }
+        self.last_counted = None;
+        self.counts.last = message;
+        if is_left_out {
+            self.count_gap(1);
+        } else {
+            self.counts.received += 1;
+        }
+    }
+
+    /// Records the end of a writer's stream, and counts its last messages that were never received.
+    fn record_end(&mut self, end: &Header, writer: Text<32>) {
+        self.ended.insert(writer.to_string());
+        let last = self.last_number.get(&writer).copied();
+        // With several writers, an earlier process of this stage may have received messages that this one does not know of.
+        let first = if self.writers == 1 && self.delivery == Delivery::Lossless { Some(0) } else { None };
+        let Some(next) = last.map(|last| last.saturating_add(1)).or(first) else { return };
+        let lost = end.number.saturating_sub(next);
+        if lost > 0 {
+            self.count_gap(lost);
+            self.last_number.insert(writer, end.number - 1);
+        }
+    }
+
+    /// Counts lost messages, and their frames as gaps.
+    fn count_gap(&mut self, lost: u64) {
+        self.counts.dropped = self.counts.dropped.saturating_add(lost);
+        self.counts.gaps = self.counts.gaps.saturating_add(lost);
+    }
+
+    /// Position of this process.
+    pub(crate) fn position(&mut self) -> &Watermark {
+        self.position.ended.clone_from(&self.ended);
+        &self.position
+    }
+
+    /// Headers of the buffered messages.
+    pub(crate) fn buffered(&self) -> impl Iterator<Item = &Header> {
+        self.pending.iter().map(Received::header)
+    }
+
+    /// Whether no received message is pending.
+    pub fn is_idle(&self) -> bool {
+        self.pending.is_empty()
+    }
+
+    /// Whether every writer has ended its stream, and no message is pending.
+    pub(crate) fn ended(&self) -> bool {
+        self.ended.len() >= self.writers && self.pending.is_empty()
+    }
+
+    /// Whether this writer has ended its stream.
+    pub fn has_ended(&self, writer: &str) -> bool {
+        self.ended.contains(writer)
+    }
+
+    /// Number of messages that a writer has sent, as far as is known here.
+    pub fn count_of(&self, writer: &str) -> u64 {
+        self.last_number.get(&Text::new(writer)).map_or(0, |last| last.saturating_add(1))
+    }
+
+    /// Counts of this input.
+    pub fn counts(&self) -> InputCounts {
+        self.counts
     }
 }

@@ -206,7 +206,7 @@ impl<T: Transport> StagePlace<T> {
             return Err(self.unfinished(left, error));
         }
         if let (true, Some(handover)) = (left, &self.handover) {
-            let told = handover.leave(self.input_port.worked_on());
+            let told = handover.leave(self.input_port.position());
             self.output_port.await_finish();
             return told.map_err(|error| RunError::Failed { frame, error: error.into() });
         }

@@ -288,7 +288,7 @@ impl Process {
     /// Models `StagePlace::end`.
     fn end(&mut self) {
         if self.leaves_at.is_some() && !self.input().ended() {
-            let worked_on = self.input().worked_on().clone();
+            let worked_on = self.input().position().clone();
             memory(|memory| memory.last_worked_on = Some(worked_on));
             self.at = At::Left;
             return;
