@@ -81,7 +81,7 @@ impl<'a> Sending<'a> {
         let zenoh_key = shared.key(&edge.from, &topic.name);
         let publisher = shared.sessions.publisher(&zenoh_key, lossy && edge.item.is_short(), priority)?;
         let mut input_port = InputPort::new(reader, topic.delivery_to(BRIDGE), &topic.name, topic.writers.len());
-        input_port.go_on();
+        input_port.skip_finished();
         // On a lossless edge the reader knows how far an earlier process came.
         input_port.resume(*counts.input());
         let log =

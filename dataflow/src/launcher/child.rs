@@ -5,7 +5,7 @@ use super::guarded::Guarded;
 use super::options::RunOptions;
 use super::phase::Phase;
 use super::process::{LAUNCHER, ProcessError, REFUSED, as_stage};
-use super::watchdog::{News, Watchdog};
+use super::watchdog::{HangReport, Watchdog};
 use crate::pipeline::{Restart, TIME_TO_JOIN_S};
 use crate::plan::{Plan, PlannedStage, Runs};
 use crate::ports::Delivery;
@@ -28,9 +28,9 @@ const FIRST_BACK_OFF: Duration = Duration::from_millis(100);
 const LONGEST_BACK_OFF: Duration = Duration::from_secs(5);
 
 /// A program that has not joined the run this long after its start is reported: a stage joins when it has loaded what it needs.
-const NAMED_AFTER: Duration = Duration::from_secs(2);
+const REPORT_UNJOINED_AFTER: Duration = Duration::from_secs(2);
 /// Hint for a program that does not join.
-const HOW_TO_JOIN: &str = "a program joins by `run_stage` or `run_source` of conicflow-dataflow, in Python by conicflow.stage() \
+const JOIN_HINT: &str = "a program joins by `run_stage` or `run_source` of conicflow-dataflow, in Python by conicflow.stage() \
                            or conicflow.source(); one that needs long to load may do that afterwards, or say how long: restart = \
                            { join_s = 600 }";
 
@@ -81,15 +81,15 @@ pub(crate) struct Supervised {
     /// Number of processes that died in a row before they had worked for long enough.
     deaths: u32,
     /// The process that was reported as not having joined the run.
-    outsider: Option<u32>,
+    reported_unjoined: Option<u32>,
     /// Whether the hint on how to join was logged already.
-    is_hinted: bool,
+    join_hint_logged: bool,
     /// The process that was seen at work since the last start.
     at_work: Option<u32>,
     /// Number of processes that were seen at work, or were started after one that was.
-    turns: u64,
+    counted_starts: u64,
     /// Whether it was logged already that the run waits only for this stage to join, as all its writers have ended.
-    is_last: bool,
+    is_awaited_alone: bool,
     started: Instant,
     /// Whether it was started after the sources had been asked to stop, and still has to be asked, too.
     is_late: bool,
@@ -110,11 +110,11 @@ impl Supervised {
             state,
             watchdog,
             deaths,
-            outsider: None,
-            is_hinted: false,
+            reported_unjoined: None,
+            join_hint_logged: false,
             at_work: None,
-            turns: 0,
-            is_last: false,
+            counted_starts: 0,
+            is_awaited_alone: false,
             started,
             is_late: false,
         })
@@ -126,8 +126,8 @@ impl Supervised {
     }
 
     /// Number of its processes that came to work, or were started after one that had.
-    pub(crate) fn turns(&self) -> u64 {
-        self.turns
+    pub(crate) fn counted_starts(&self) -> u64 {
+        self.counted_starts
     }
 
     /// Id of its process, if that has ended. The state does not change: the caller, or the next check, acts on it.
@@ -138,12 +138,12 @@ impl Supervised {
     }
 
     /// Hands its place to another process, which runs already.
-    pub(crate) fn take(&mut self, process: Guarded) {
+    pub(crate) fn replace_process(&mut self, process: Guarded) {
         (self.state, self.started) = (State::Running(process), Instant::now());
     }
 
     /// Makes the next check restart it, as `planned`.
-    pub(crate) fn come_back(&mut self, planned: PlannedStage) {
+    pub(crate) fn restart_as(&mut self, planned: PlannedStage) {
         self.planned = planned;
         self.state = State::Waiting { until: Instant::now() };
     }
@@ -187,7 +187,7 @@ impl Supervised {
 
     /// Checks whether the process has ended, and restarts it where due. While frames in flight are delivered, every stage but the
     /// sources is needed.
-    pub(crate) fn look(&mut self, run: &RunState<'_>) -> Change {
+    pub(crate) fn check(&mut self, run: &RunState<'_>) -> Change {
         let ending = match run.phase {
             _ if run.is_removed => true,
             Phase::Running => false,
@@ -203,13 +203,13 @@ impl Supervised {
                 }
                 _ => {
                     self.stop_if_late(run);
-                    self.watch(run)
+                    self.check_heartbeat(run)
                 }
             },
-            State::Waiting { .. } if ending => self.stay_away(run),
+            State::Waiting { .. } if ending => self.stay_ended(run),
             State::Waiting { until } if Instant::now() >= *until => {
                 self.is_late = matches!(run.phase, Phase::Delivering { .. }) && self.planned.is_source();
-                self.start_anew(run)
+                self.restart(run)
             }
             _ => Change::None,
         }
@@ -225,11 +225,11 @@ impl Supervised {
 
     /// Starts the process again. A failure to start, as of a program that is just being replaced, does not end the run: it counts
     /// as one more death.
-    fn start_anew(&mut self, run: &RunState<'_>) -> Change {
+    fn restart(&mut self, run: &RunState<'_>) -> Change {
         match Guarded::start(&mut command(&self.planned, run.plan, run.options), &self.planned) {
             Ok(process) => {
                 (self.state, self.started) = (State::Running(process), Instant::now());
-                self.turns += u64::from(self.at_work.take().is_some());
+                self.counted_starts += u64::from(self.at_work.take().is_some());
                 Change::None
             }
             Err(error) => self.died(&format!("cannot be started ({error})"), false, run),
@@ -237,26 +237,26 @@ impl Supervised {
     }
 
     /// Checks the heartbeat of the process. One that hangs is reported, and killed where the file says so.
-    fn watch(&mut self, run: &RunState<'_>) -> Change {
+    fn check_heartbeat(&mut self, run: &RunState<'_>) -> Change {
         let Some(process) = self.process() else { return Change::None };
         let own = self.own_record(process, run);
         if let (None, Runs::Command(command)) = (&own, &self.planned.runs) {
             let command = command.join(" ");
             return self.wait_to_join(process, &command, run);
         }
-        if self.outsider.take_if(|outsider| *outsider == process).is_some() {
+        if self.reported_unjoined.take_if(|reported_unjoined| *reported_unjoined == process).is_some() {
             let seconds = self.started.elapsed().as_secs_f64();
             tracing::info!("stage `{}` has joined the run, {seconds:.1} s after its start", self.planned.name);
         }
         if self.at_work != Some(process) && own.as_ref().is_some_and(|own| own.life() != Life::Starting) {
-            (self.at_work, self.turns) = (Some(process), self.turns + 1);
+            (self.at_work, self.counted_starts) = (Some(process), self.counted_starts + 1);
         }
         let limit = self.planned.hang_s.map(Duration::from_secs_f64);
         let steps = own.as_ref().map_or(0, |status| status.steps);
         let has_ended = own.as_ref().is_some_and(|status| status.life() == Life::Ended);
-        let news = self.watchdog.look(process, own.map(|status| status.alive_ns), limit, Instant::now());
-        news.into_iter().for_each(|news| self.tell(news, steps));
-        let (Some(News::Hangs(_)), Some(_), State::Running(process)) = (news, limit, &mut self.state) else {
+        let report = self.watchdog.check(process, own.map(|status| status.alive_ns), limit, Instant::now());
+        report.into_iter().for_each(|report| self.log_report(report, steps));
+        let (Some(HangReport::Hangs(_)), Some(_), State::Running(process)) = (report, limit, &mut self.state) else {
             return Change::None;
         };
         process.child.kill().ok();
@@ -272,47 +272,47 @@ impl Supervised {
     fn wait_to_join(&mut self, process: u32, command: &str, run: &RunState<'_>) -> Change {
         let (name, waited) = (&self.planned.name, self.started.elapsed());
         let (topic, limit_s) = (self.lossless_topic(), self.planned.join_s.unwrap_or(TIME_TO_JOIN_S));
-        let is_last = self.has_heard_all(run);
-        if waited > NAMED_AFTER && self.outsider != Some(process) {
+        let is_awaited_alone = self.has_no_more_input(run);
+        if waited > REPORT_UNJOINED_AFTER && self.reported_unjoined != Some(process) {
             let waits = topic.map(|topic| {
                 format!(", and topic `{topic}` waits for it: the run ends if it has not {limit_s} s after its start")
             });
             let waits = waits.unwrap_or_default();
-            let hint = if self.is_hinted { String::new() } else { format!("\n  hint: {HOW_TO_JOIN}") };
+            let hint = if self.join_hint_logged { String::new() } else { format!("\n  hint: {JOIN_HINT}") };
             tracing::warn!("stage `{name}` has not joined the run: `{command}` has no part in it{waits}{hint}");
-            (self.outsider, self.is_hinted) = (Some(process), true);
-        } else if waited > Duration::from_secs_f64(limit_s) && (topic.is_some() || is_last) {
+            (self.reported_unjoined, self.join_hint_logged) = (Some(process), true);
+        } else if waited > Duration::from_secs_f64(limit_s) && (topic.is_some() || is_awaited_alone) {
             let waits = topic.map(|topic| {
                 format!("`{command}` takes no part in topic `{topic}`, which is lossless and waits for it")
             });
             let waits = waits.unwrap_or_else(|| "nothing can come to it any more, and the run waits for it".to_owned());
             tracing::error!(
-                "stage `{name}` has not joined the run {limit_s} s after its start: {waits}\n  hint: {HOW_TO_JOIN}"
+                "stage `{name}` has not joined the run {limit_s} s after its start: {waits}\n  hint: {JOIN_HINT}"
             );
             self.kill();
             return self.give_up(run, Change::Lost);
-        } else if waited > NAMED_AFTER && is_last && !self.is_last {
+        } else if waited > REPORT_UNJOINED_AFTER && is_awaited_alone && !self.is_awaited_alone {
             tracing::warn!(
                 "the run waits for stage `{name}`, which has not joined it: all that write for it have ended, and the run ends, \
-                 too, if it has not {limit_s} s after its start\n  hint: {HOW_TO_JOIN}"
+                 too, if it has not {limit_s} s after its start\n  hint: {JOIN_HINT}"
             );
-            self.is_last = true;
+            self.is_awaited_alone = true;
         }
         Change::None
     }
 
-    fn tell(&self, news: News, steps: u64) {
+    fn log_report(&self, report: HangReport, steps: u64) {
         let name = &self.planned.name;
-        let (News::Hangs(silent) | News::GoesOn(silent)) = news;
+        let (HangReport::Hangs(silent) | HangReport::Recovered(silent)) = report;
         let seconds = silent.as_secs_f64();
-        match (news, self.planned.hang_s) {
-            (News::GoesOn(_), _) => {
+        match (report, self.planned.hang_s) {
+            (HangReport::Recovered(_), _) => {
                 tracing::info!("stage `{name}` goes on after {seconds:.1} s without a sign of life");
             }
-            (News::Hangs(_), Some(_)) => {
+            (HangReport::Hangs(_), Some(_)) => {
                 tracing::error!("stage `{name}` hangs after {steps} messages, {seconds:.1} s ago, and is killed");
             }
-            (News::Hangs(_), None) => tracing::warn!(
+            (HangReport::Hangs(_), None) => tracing::warn!(
                 "stage `{name}` hangs after {steps} messages: no sign of life for {seconds:.1} s\n  \
                  hint: with restart = {{ when = \"on_failure\", hang_s = 5 }} it would be started anew"
             ),
@@ -333,7 +333,7 @@ impl Supervised {
     }
 
     /// Whether all writers of its input are over, so that a restart is pointless.
-    fn has_heard_all(&self, run: &RunState<'_>) -> bool {
+    fn has_no_more_input(&self, run: &RunState<'_>) -> bool {
         let is_over = |stage: &String| run.record(stage).is_some_and(|record| record.life().is_over());
         let writers = self.planned.wiring.input.as_ref().map(|topic| &topic.writers).filter(|all| !all.is_empty());
         writers.is_some_and(|writers| writers.iter().all(is_over))
@@ -351,11 +351,11 @@ impl Supervised {
         {
             tracing::error!(
                 "stage `{name}` has ended without having joined the run: nobody took part in topic `{topic}` for it, which is \
-                 lossless\n  hint: {HOW_TO_JOIN}"
+                 lossless\n  hint: {JOIN_HINT}"
             );
             return self.give_up(run, Change::Lost);
         }
-        let comes_back = self.planned.restart == Restart::Always && running && !self.has_heard_all(run);
+        let comes_back = self.planned.restart == Restart::Always && running && !self.has_no_more_input(run);
         if finished && !comes_back {
             self.state = State::Done;
             run.set_life(&name, Life::Ended);
@@ -366,7 +366,7 @@ impl Supervised {
             return self.give_up(run, Change::Lost);
         }
         if ending {
-            return self.stay_away(run);
+            return self.stay_ended(run);
         }
         if status.code() == Some(i32::from(REFUSED)) {
             tracing::error!("stage `{name}` could not start: see its error above");
@@ -384,7 +384,7 @@ impl Supervised {
             tracing::error!("stage `{name}` {how}, and is not started anew: its `restart` is \"never\"");
             return self.give_up(run, Change::Left);
         }
-        if run.record(name).is_none() && self.has_heard_all(run) {
+        if run.record(name).is_none() && self.has_no_more_input(run) {
             tracing::error!(
                 "stage `{name}` {how}, and is not started anew: it had not joined the run, and nothing can come any more"
             );
@@ -405,7 +405,7 @@ impl Supervised {
     }
 
     /// Does not restart it, as the run ends; the others are not to wait for it.
-    fn stay_away(&mut self, run: &RunState<'_>) -> Change {
+    fn stay_ended(&mut self, run: &RunState<'_>) -> Change {
         self.state = State::Done;
         run.set_life(&self.planned.name, Life::Gone);
         Change::None

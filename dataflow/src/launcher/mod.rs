@@ -134,14 +134,14 @@ struct Launcher<'a> {
     /// Reason why the stages were ended although not all was delivered.
     stalled: Option<String>,
     /// Last progress.
-    moved: Option<Movement>,
+    last_movement: Option<Movement>,
     progress: Progress,
     started: Instant,
     /// Time for which the run was not paused, up to the last check.
     active_time: Duration,
-    looked: Instant,
+    last_check: Instant,
     /// Time of the last check of the shared memory.
-    looked_after_shared: Instant,
+    last_memory_check: Instant,
     /// Whether the shared memory, or the run's folder, was removed.
     is_removed: bool,
 }
@@ -168,12 +168,12 @@ impl<'a> Launcher<'a> {
             phase: Phase::Running,
             hurried: false,
             stalled: None,
-            moved: None,
+            last_movement: None,
             progress: Progress::new(options.quiet),
             started: Instant::now(),
             active_time: Duration::ZERO,
-            looked: Instant::now(),
-            looked_after_shared: Instant::now(),
+            last_check: Instant::now(),
+            last_memory_check: Instant::now(),
             is_removed: false,
         }
     }
@@ -187,11 +187,11 @@ impl<'a> Launcher<'a> {
             // Records may be missing because the folder was removed: that is checked before the stages are.
             self.check_shared_memory(services, lock);
             self.replace();
-            self.look_at_stages();
+            self.check_stages();
             self.advance_phase();
             let summary = self.summary();
-            self.look_for_pause(&summary);
-            self.look_for_standstill(&summary);
+            self.count_active_time(&summary);
+            self.warn_of_standstill(&summary);
             self.progress.show(&summary);
         }
         self.progress.clear();
@@ -200,8 +200,8 @@ impl<'a> Launcher<'a> {
 
     /// Sleeps until a signal comes or a check is due; each request to end escalates.
     fn wait_for_events(&mut self) {
-        let look = if self.swap.is_some() { SWAP_CHECK_PERIOD } else { STAGE_CHECK_PERIOD };
-        match self.signals.recv_timeout(look) {
+        let period = if self.swap.is_some() { SWAP_CHECK_PERIOD } else { STAGE_CHECK_PERIOD };
+        match self.signals.recv_timeout(period) {
             Ok(SIGCHLD) | Err(RecvTimeoutError::Timeout) => {}
             Ok(SIGTSTP) => self.suspend_until_resumed(),
             Ok(_) | Err(RecvTimeoutError::Disconnected) => {
@@ -225,54 +225,9 @@ impl<'a> Launcher<'a> {
         self.stages.iter().for_each(|stage| stage.signal_group(Signal::CONT));
         // The time of the suspension does not count as time of the run.
         let now = Instant::now();
-        (self.looked, self.moved) = (now, None);
+        (self.last_check, self.last_movement) = (now, None);
         if let Phase::Delivering { since, .. } | Phase::Stopping { since } = &mut self.phase {
             *since = now;
-        }
-    }
-
-    /// Advances the current swap, or begins a requested one.
-    fn replace(&mut self) {
-        let Self { plan, folder, options, stages, swap, phase, is_removed, .. } = self;
-        let mut run = RunState { plan, folder, options, phase: *phase, is_removed: *is_removed };
-        *swap = match swap.take() {
-            Some(under_way) => under_way.go_on(stages, &mut run),
-            None => run.folder.take_request().map(|request| Swap::begin(request, stages, &run)),
-        };
-    }
-
-    fn look_at_stages(&mut self) {
-        let ending = !matches!(self.phase, Phase::Running);
-        let mut lost = false;
-        let Self { plan, folder, options, stages, swap, phase, is_removed, .. } = self;
-        let run = RunState { plan, folder, options, phase: *phase, is_removed: *is_removed };
-        let leaving = swap.as_ref().filter(|swap| swap.decides_about_exit()).map(Swap::stage);
-        for stage in stages.iter_mut().filter(|stage| leaving != Some(&stage.planned.name)) {
-            lost |= stage.look(&run) == Change::Lost;
-        }
-        if !ending && (lost || self.nobody_reads()) {
-            if lost {
-                tracing::error!("the run ends, because a stage is lost");
-            }
-            self.stop_sources();
-        }
-    }
-
-    /// Whether all sinks are over, so that nobody needs further messages.
-    fn nobody_reads(&self) -> bool {
-        let mut sinks = self.stages.iter().filter(|stage| stage.planned.is_sink()).peekable();
-        sinks.peek().is_some() && sinks.all(Supervised::is_over)
-    }
-
-    /// Enters the next phase when the time of this one is over.
-    fn advance_phase(&mut self) {
-        let now = Instant::now();
-        match self.phase.due(now, self.active_time, self.options.duration, || self.delivered()) {
-            Due::Nothing => {}
-            Due::StopSources => self.stop_sources(),
-            Due::WaitForMore(delivered) => self.phase = Phase::Delivering { delivered, since: now },
-            Due::EndStalled => self.end_stalled(),
-            Due::KillAll => self.kill_all(),
         }
     }
 
@@ -283,9 +238,9 @@ impl<'a> Launcher<'a> {
             return;
         }
         let is_running = matches!(self.phase, Phase::Running);
-        let is_due = self.looked_after_shared.elapsed() > SHARED_MEMORY_CHECK_PERIOD;
+        let is_due = self.last_memory_check.elapsed() > SHARED_MEMORY_CHECK_PERIOD;
         if is_due {
-            self.looked_after_shared = Instant::now();
+            self.last_memory_check = Instant::now();
             services.settle();
         }
         if !lock.is_there() {
@@ -313,26 +268,54 @@ impl<'a> Launcher<'a> {
         }
     }
 
-    /// Excludes time in which the run is paused from its duration.
-    fn look_for_pause(&mut self, summary: &Summary) {
-        let passed = self.looked.elapsed();
-        self.looked += passed;
-        let (_, is_paused) = summary.pausing();
-        self.active_time += if is_paused { Duration::ZERO } else { passed };
+    /// Advances the current swap, or begins a requested one.
+    fn replace(&mut self) {
+        let Self { plan, folder, options, stages, swap, phase, is_removed, .. } = self;
+        let mut run = RunState { plan, folder, options, phase: *phase, is_removed: *is_removed };
+        *swap = match swap.take() {
+            Some(under_way) => under_way.advance(stages, &mut run),
+            None => run.folder.take_request().map(|request| Swap::begin(request, stages, &run)),
+        };
     }
 
-    /// Logs once per stall which stages wait for which.
-    fn look_for_standstill(&mut self, summary: &Summary) {
-        let now = Movement { worked_on: summary.worked_on(), since: Instant::now(), is_reported: false };
-        let stands = matches!(self.phase, Phase::Running) && summary.is_held_up();
-        let before = self.moved.get_or_insert(now);
-        if !stands || before.worked_on != now.worked_on {
-            *before = now;
-        } else if !before.is_reported && before.since.elapsed() > STANDSTILL {
-            before.is_reported = true;
-            let waits = summary.who_waits().join(", ");
-            tracing::warn!("nothing has moved for {} s: {waits}", STANDSTILL.as_secs());
+    fn check_stages(&mut self) {
+        let ending = !matches!(self.phase, Phase::Running);
+        let mut lost = false;
+        let Self { plan, folder, options, stages, swap, phase, is_removed, .. } = self;
+        let run = RunState { plan, folder, options, phase: *phase, is_removed: *is_removed };
+        let leaving = swap.as_ref().filter(|swap| swap.handles_exit()).map(Swap::stage);
+        for stage in stages.iter_mut().filter(|stage| leaving != Some(&stage.planned.name)) {
+            lost |= stage.check(&run) == Change::Lost;
         }
+        if !ending && (lost || self.all_sinks_are_over()) {
+            if lost {
+                tracing::error!("the run ends, because a stage is lost");
+            }
+            self.stop_sources();
+        }
+    }
+
+    /// Whether all sinks are over, so that nobody needs further messages.
+    fn all_sinks_are_over(&self) -> bool {
+        let mut sinks = self.stages.iter().filter(|stage| stage.planned.is_sink()).peekable();
+        sinks.peek().is_some() && sinks.all(Supervised::is_over)
+    }
+
+    /// Enters the next phase when the time of this one is over.
+    fn advance_phase(&mut self) {
+        let now = Instant::now();
+        match self.phase.due(now, self.active_time, self.options.duration, || self.delivered()) {
+            Due::Nothing => {}
+            Due::StopSources => self.stop_sources(),
+            Due::WaitForMore(delivered) => self.phase = Phase::Delivering { delivered, since: now },
+            Due::EndStalled => self.end_stalled(),
+            Due::KillAll => self.kill_all(),
+        }
+    }
+
+    fn stop_sources(&mut self) {
+        self.phase = Phase::Delivering { delivered: self.delivered(), since: Instant::now() };
+        self.stages.iter().filter(|stage| stage.planned.is_source()).for_each(|stage| stage.signal(Signal::INT));
     }
 
     /// Ends a run at once that has stalled on its way to its end.
@@ -350,11 +333,6 @@ impl<'a> Launcher<'a> {
         self.stop_all();
     }
 
-    fn stop_sources(&mut self) {
-        self.phase = Phase::Delivering { delivered: self.delivered(), since: Instant::now() };
-        self.stages.iter().filter(|stage| stage.planned.is_source()).for_each(|stage| stage.signal(Signal::INT));
-    }
-
     fn stop_all(&mut self) {
         self.phase = Phase::Stopping { since: Instant::now() };
         self.stages.iter().for_each(|stage| stage.signal(Signal::TERM));
@@ -368,8 +346,30 @@ impl<'a> Launcher<'a> {
     /// Progress of the delivery: the number of messages processed, of stages that are over, and of processes that came to work or
     /// replaced one that had, as a replacement may have to wait as long again.
     fn delivered(&self) -> u64 {
-        let of_stage = |stage: &Supervised| stage.turns() + u64::from(stage.is_over());
+        let of_stage = |stage: &Supervised| stage.counted_starts() + u64::from(stage.is_over());
         self.summary().worked_on() + self.stages.iter().map(of_stage).sum::<u64>()
+    }
+
+    /// Excludes time in which the run is paused from its duration.
+    fn count_active_time(&mut self, summary: &Summary) {
+        let passed = self.last_check.elapsed();
+        self.last_check += passed;
+        let (_, is_paused) = summary.pausing();
+        self.active_time += if is_paused { Duration::ZERO } else { passed };
+    }
+
+    /// Logs once per stall which stages wait for which.
+    fn warn_of_standstill(&mut self, summary: &Summary) {
+        let now = Movement { worked_on: summary.worked_on(), since: Instant::now(), is_reported: false };
+        let stands = matches!(self.phase, Phase::Running) && summary.is_held_up();
+        let before = self.last_movement.get_or_insert(now);
+        if !stands || before.worked_on != now.worked_on {
+            *before = now;
+        } else if !before.is_reported && before.since.elapsed() > STANDSTILL {
+            before.is_reported = true;
+            let waits = summary.who_waits().join(", ");
+            tracing::warn!("nothing has moved for {} s: {waits}", STANDSTILL.as_secs());
+        }
     }
 
     fn summary(&self) -> Summary {
@@ -438,12 +438,12 @@ mod tests {
         let process = launcher.stages[0].process().unwrap();
         for starts in [2, 3] {
             change_record(&launcher.folder, "first", |status| (status.process, status.starts) = (process, starts));
-            launcher.look_at_stages();
+            launcher.check_stages();
             assert_eq!(launcher.delivered(), 3 + 4 + 1, "it has not come to work");
         }
         change_record(&launcher.folder, "first", |status| status.set_life(Life::Running));
         for _ in 0..2 {
-            launcher.look_at_stages();
+            launcher.check_stages();
             assert_eq!(launcher.delivered(), 3 + 4 + 1 + 1, "from when it is at work on, however long that has taken");
         }
         launcher.kill_all();
@@ -493,10 +493,10 @@ mod tests {
                 status.set_pausing(pausing);
             });
             let before = launcher.active_time;
-            launcher.looked = Instant::now().checked_sub(Duration::from_secs(60)).unwrap();
-            launcher.look_for_pause(&launcher.summary());
+            launcher.last_check = Instant::now().checked_sub(Duration::from_secs(60)).unwrap();
+            launcher.count_active_time(&launcher.summary());
             assert_eq!(launcher.active_time - before >= Duration::from_secs(60), pausing == Pausing::Goes);
-            assert!(launcher.looked.elapsed() < Duration::from_secs(60), "time counts once");
+            assert!(launcher.last_check.elapsed() < Duration::from_secs(60), "time counts once");
         }
         launcher.kill_all();
     }
@@ -507,9 +507,9 @@ mod tests {
         let mut launcher = launcher(files.path(), &options, Phase::Running);
         let is_reported = |launcher: &mut Launcher<'_>, worked_on: u64, seconds: u64| {
             let since = Instant::now().checked_sub(Duration::from_secs(seconds)).unwrap();
-            launcher.moved = Some(Movement { worked_on, since, is_reported: false });
-            launcher.look_for_standstill(&launcher.summary());
-            launcher.moved.unwrap().is_reported
+            launcher.last_movement = Some(Movement { worked_on, since, is_reported: false });
+            launcher.warn_of_standstill(&launcher.summary());
+            launcher.last_movement.unwrap().is_reported
         };
         assert!(!is_reported(&mut launcher, 7, 20), "nobody waits");
         change_record(&launcher.folder, "first", |status| status.waits_for = Text::new("second"));
@@ -540,9 +540,9 @@ mod tests {
             }
             let begin = Instant::now();
             while loses_a_stage && !launcher.stages[0].is_gone() && begin.elapsed() < Duration::from_secs(20) {
-                launcher.look_at_stages();
+                launcher.check_stages();
             }
-            launcher.look_at_stages();
+            launcher.check_stages();
             let ends = matches!(launcher.phase, Phase::Delivering { .. });
             assert_eq!(ends, loses_a_stage || is_sink_over);
             assert_eq!(launcher.summary().is_complete(), !loses_a_stage);

@@ -384,7 +384,7 @@ pub(super) mod tests {
         PlannedStage { name: "stage".into(), wiring, restart: Restart::Never, ..PlannedStage::default() }
     }
 
-    /// A stage that turns ellipses into items of this type.
+    /// A stage that counted_starts ellipses into items of this type.
     fn finder<T: Item>() -> PlannedStage {
         let mut planned = stage::<T>();
         let input = Topic { name: "in".into(), item: Some(ItemType::of::<Ellipse>()), ..Topic::default() };

@@ -148,12 +148,12 @@ impl Swap {
     }
 
     /// Whether the exit of the stage's process is part of the swap, so that it is not restarted.
-    pub(crate) fn decides_about_exit(&self) -> bool {
+    pub(crate) fn handles_exit(&self) -> bool {
         matches!(self.step, Step::Leaving(_) | Step::Beginning(_))
     }
 
     /// Advances the swap; `None` when it is over and the requester has its answer.
-    pub(crate) fn go_on(self, stages: &mut [Supervised], run: &mut RunState<'_>) -> Option<Self> {
+    pub(crate) fn advance(self, stages: &mut [Supervised], run: &mut RunState<'_>) -> Option<Self> {
         let Self { request, step, since } = self;
         if let Step::Over { outcome, is_late } = step {
             let error = run.folder.answer(request.id, &outcome).err()?;
@@ -165,7 +165,7 @@ impl Swap {
         let stage = stages.iter_mut().find(|stage| stage.planned.name == request.stage)?;
         let is_overdue = step.is_overdue(since.elapsed());
         let (step, since) = match step {
-            Step::Preparing(mut successor) => match look_at(&mut successor, stage, run, is_overdue) {
+            Step::Preparing(mut successor) => match check_successor(&mut successor, stage, run, is_overdue) {
                 Ok(false) => (Step::Preparing(successor), since),
                 Ok(true) => {
                     stage.signal(Signal::USR1);
@@ -201,7 +201,7 @@ impl Swap {
                 } else {
                     let own = run.plan.stages.iter_mut().filter(|own| own.name == before.name);
                     own.for_each(|own| *own = (*before).clone());
-                    stage.come_back(*before);
+                    stage.restart_as(*before);
                     run.take_plan_back();
                     let fault = "the new stage could not begin, and the old one comes back\n  \
                                  hint: the launcher's log says why";
@@ -230,7 +230,7 @@ impl Swap {
 }
 
 /// Whether the successor is ready; an error gives the reason to call off the swap.
-fn look_at(
+fn check_successor(
     successor: &mut Successor,
     stage: &mut Supervised,
     run: &RunState<'_>,
@@ -256,7 +256,7 @@ fn take_place(successor: Successor, stage: &mut Supervised, request: &Request, r
     if let Some(planned) = run.plan.stage(&request.stage) {
         stage.planned = planned.clone();
     }
-    stage.take(successor.begin());
+    stage.replace_process(successor.begin());
     match run.phase {
         Phase::Delivering { .. } if stage.planned.is_source() => stage.signal(Signal::INT),
         Phase::Stopping { .. } => stage.signal(Signal::TERM),
@@ -316,7 +316,7 @@ mod tests {
             (Swap { request, step: Step::Leaving(successor), since }, process)
         };
         let mut state = run.state(Phase::Running);
-        let before = leaving(0).0.go_on(std::slice::from_mut(&mut stage), &mut state).unwrap();
+        let before = leaving(0).0.advance(std::slice::from_mut(&mut stage), &mut state).unwrap();
         assert!(answers(&mut stage) && matches!(before.step, Step::Leaving(_)), "it has time left");
         before.abandon(state.folder);
         let (swap, successor) = leaving(31);
@@ -351,7 +351,7 @@ mod tests {
         let (mut swap, begin) = (swap, Instant::now());
         while !is_there(&swap.step) {
             assert!(begin.elapsed() < Duration::from_secs(20), "it does not come to that");
-            swap = swap.go_on(std::slice::from_mut(stage), state).unwrap();
+            swap = swap.advance(std::slice::from_mut(stage), state).unwrap();
         }
         swap
     }
@@ -361,25 +361,25 @@ mod tests {
         let (mut stage, mut run, request) = to_replace();
         let (successor, since) = (ready_successor(), Instant::now());
         let process = successor.process.child.id();
-        run.tell("stage", stage.process().unwrap(), Life::Running);
+        run.write_record("stage", stage.process().unwrap(), Life::Running);
         let swap = Swap { request, step: Step::Preparing(successor), since };
-        assert!(!swap.decides_about_exit());
+        assert!(!swap.handles_exit());
         let mut state = run.state(Phase::Running);
         let swap = go_on_to(swap, &mut stage, &mut state, |step| matches!(step, Step::Beginning(_)));
-        assert!(swap.decides_about_exit() && stage.process() == Some(process));
+        assert!(swap.handles_exit() && stage.process() == Some(process));
         assert_eq!([stage.planned.hang_s, state.plan.stages[0].hang_s], [Some(9.0); 2]);
-        let mut go_on = |swap: Swap, run: &mut TrialRun| {
-            swap.go_on(std::slice::from_mut(&mut stage), &mut run.state(Phase::Running))
+        let mut advance = |swap: Swap, run: &mut TrialRun| {
+            swap.advance(std::slice::from_mut(&mut stage), &mut run.state(Phase::Running))
         };
-        let swap = go_on(swap, &mut run).unwrap();
+        let swap = advance(swap, &mut run).unwrap();
         assert!(matches!(swap.step, Step::Beginning(_)), "the record is that of the process before");
-        run.tell("stage", process, Life::Starting);
-        let swap = go_on(swap, &mut run).unwrap();
+        run.write_record("stage", process, Life::Starting);
+        let swap = advance(swap, &mut run).unwrap();
         assert!(matches!(swap.step, Step::Beginning(_)), "it does not work yet");
-        run.tell("stage", process, Life::Running);
-        let swap = go_on(swap, &mut run).unwrap();
-        assert!(matches!(&swap.step, Step::Over { outcome: Ok(()), .. }) && !swap.decides_about_exit());
-        assert!(go_on(swap, &mut run).is_none());
+        run.write_record("stage", process, Life::Running);
+        let swap = advance(swap, &mut run).unwrap();
+        assert!(matches!(&swap.step, Step::Over { outcome: Ok(()), .. }) && !swap.handles_exit());
+        assert!(advance(swap, &mut run).is_none());
         let answer = std::fs::read_to_string(run.files.path().join("swap.answer")).unwrap();
         assert!(answer.contains(r#""id": 1"#) && answer.contains(r#""fault": null"#), "{answer}");
         stage.kill();
@@ -389,7 +389,7 @@ mod tests {
     fn a_stage_that_came_to_its_end_is_not_replaced_and_one_comes_back_whose_successor_could_not_begin() {
         for life in [Life::Ended, Life::Running] {
             let (mut stage, mut run, request) = to_replace();
-            run.tell("stage", stage.process().unwrap(), life);
+            run.write_record("stage", stage.process().unwrap(), life);
             let mut state = run.state(Phase::Running);
             let swap = Swap { request, step: Step::Leaving(successor()), since: Instant::now() };
             stage.signal(Signal::KILL);
@@ -426,7 +426,7 @@ mod tests {
                 stage.kill();
             }
             let swap = Swap { request, step: Step::Preparing(successor), since };
-            let swap = swap.go_on(std::slice::from_mut(&mut stage), &mut run.state(phase)).unwrap();
+            let swap = swap.advance(std::slice::from_mut(&mut stage), &mut run.state(phase)).unwrap();
             let Step::Over { outcome: Err(fault), .. } = swap.step else { panic!("it goes on") };
             assert!(fault.contains(why), "{fault}");
             assert_eq!(run.folder.plan().unwrap().stages[0].hang_s, None);
@@ -493,15 +493,15 @@ mod tests {
         let file = run.files.path().join("swap.answer");
         std::fs::create_dir(&file).unwrap();
         let mut swap = Some(Swap { request, step: Step::over(Ok(())), since: Instant::now() });
-        let mut go_on = || {
+        let mut advance = || {
             let under_way = swap.take().unwrap();
             let log =
-                logged(|| swap = under_way.go_on(std::slice::from_mut(&mut stage), &mut run.state(Phase::Running)));
+                logged(|| swap = under_way.advance(std::slice::from_mut(&mut stage), &mut run.state(Phase::Running)));
             (swap.is_some(), log.contains("the result of a swap cannot be reported, of stage `stage`"))
         };
-        assert_eq!([go_on(), go_on()], [(true, true), (true, false)]);
+        assert_eq!([advance(), advance()], [(true, true), (true, false)]);
         std::fs::remove_dir(&file).unwrap();
-        assert_eq!(go_on(), (false, false));
+        assert_eq!(advance(), (false, false));
         assert!(file.exists());
     }
 
@@ -551,7 +551,7 @@ mod tests {
             (7, "stage", Phase::Running, Life::Starting, "is not at work"),
         ] {
             let (mut stage, mut run, mut request) = to_replace();
-            run.tell("stage", stage.process().unwrap(), life);
+            run.write_record("stage", stage.process().unwrap(), life);
             (request.plan.run, request.stage) = (number, name.to_owned());
             let swap = Swap::begin(request, std::slice::from_ref(&stage), &run.state(phase));
             assert_eq!(swap.stage(), name);

@@ -34,7 +34,7 @@ impl TrialRun {
     }
 
     /// Writes a stage's record as a process of the stage would.
-    pub fn tell(&self, stage: &str, process: u32, life: Life) {
+    pub fn write_record(&self, stage: &str, process: u32, life: Life) {
         change_record(&self.folder, stage, |status| {
             status.process = process;
             status.set_life(life);

@@ -197,11 +197,7 @@ fn who_is_started_anew_works_on_what_was_not_finished_and_counts_each_message_on
     drop(killed);
     let mut next = kept.input();
     next.resume(record);
-    assert_eq!(
-        next.position().numbers,
-        [(Text::new(WRITER), 1)].into(),
-        "its successor need not do them again either"
-    );
+    assert_eq!(next.position().numbers, [(Text::new(WRITER), 1)].into(), "its successor need not do them again either");
     assert_eq!(next.position().frames, [(Text::new(WRITER), (1, 1))].into());
     assert_eq!(take_all(&mut next), [2, 3, 4]);
     assert_eq!(counted(&next.counts()), [5, 0, 0, 0]);
@@ -285,7 +281,7 @@ fn who_has_kept_no_counts_goes_on_after_what_was_finished() {
     killed.acknowledge();
     drop(killed);
     let mut next = kept.input();
-    next.go_on();
+    next.skip_finished();
     assert_eq!(take_all(&mut next), [2, 3]);
     assert_eq!(counted(&next.counts()), [2, 0, 0, 0]);
 }

@@ -12,9 +12,21 @@ use std::process::Child;
 
 fn supervised(planned: PlannedStage, state: State) -> Supervised {
     let (watchdog, started) = (Watchdog::new(0, Instant::now()), Instant::now());
-    let (deaths, outsider, at_work, turns) = (0, None, None, 0);
-    let [is_hinted, is_last, is_late] = [false; 3];
-    Supervised { planned, state, watchdog, deaths, outsider, is_hinted, at_work, turns, is_last, started, is_late }
+    let (deaths, reported_unjoined, at_work, counted_starts) = (0, None, None, 0);
+    let [join_hint_logged, is_awaited_alone, is_late] = [false; 3];
+    Supervised {
+        planned,
+        state,
+        watchdog,
+        deaths,
+        reported_unjoined,
+        join_hint_logged,
+        at_work,
+        counted_starts,
+        is_awaited_alone,
+        started,
+        is_late,
+    }
 }
 
 /// A program that echoes its input, and ends at the end of its input.
@@ -83,12 +95,12 @@ fn what_follows_from_the_end_of_a_process_depends_on_how_it_ended_on_its_record_
     ] {
         let (mut stage, process) = ended(exit, Delivery::Lossless);
         stage.planned.restart = restart;
-        run.tell("stage", process, told);
+        run.write_record("stage", process, told);
         let state = run.state(phase);
         let how = format!("exit code {exit}, {told:?} in its record, {restart:?}, {phase:?}");
-        let looked = Instant::now();
-        assert_eq!(stage.look(&state), change, "{how}");
-        assert!(!matches!(stage.state, State::Waiting { until } if until < looked + FIRST_BACK_OFF), "{how}");
+        let last_check = Instant::now();
+        assert_eq!(stage.check(&state), change, "{how}");
+        assert!(!matches!(stage.state, State::Waiting { until } if until < last_check + FIRST_BACK_OFF), "{how}");
         assert_eq!((stage.is_over(), stage.is_gone()), expected, "{how}");
         assert_eq!(state.record("stage").map(|record| record.life()), Some(life), "{how}");
     }
@@ -100,9 +112,9 @@ fn a_stage_that_always_comes_back_does_not_where_all_that_write_for_it_are_over(
     for (life, is_over) in [(Life::Running, false), (Life::Ended, true), (Life::Gone, true)] {
         let (mut stage, process) = ended(0, Delivery::Latest);
         stage.planned.restart = Restart::Always;
-        run.tell("stage", process, Life::Ended);
-        run.tell("writer", 42, life);
-        stage.look(&run.state(Phase::Running));
+        run.write_record("stage", process, Life::Ended);
+        run.write_record("writer", 42, life);
+        stage.check(&run.state(Phase::Running));
         assert_eq!(stage.is_over(), is_over, "{life:?}");
     }
 }
@@ -116,7 +128,7 @@ fn a_program_that_ends_without_a_part_in_the_run_is_missed_where_it_was_to_lose_
         (Delivery::Latest, Phase::Running, Change::None),
     ] {
         let (mut stage, _) = ended(0, delivery);
-        let told = (stage.look(&run.state(phase)), stage.is_over(), stage.is_gone());
+        let told = (stage.check(&run.state(phase)), stage.is_over(), stage.is_gone());
         assert_eq!(told, (change, true, change == Change::Lost), "{delivery:?}");
     }
 }
@@ -133,27 +145,27 @@ fn a_program_that_does_not_join_is_named_and_then_given_up_where_a_lossless_topi
         (Delivery::Latest, over, 50.0, true, Change::None),
         (Delivery::Latest, over, 101.0, true, Change::Lost),
     ] {
-        run.tell("writer", 42, writer);
+        run.write_record("writer", 42, writer);
         let (Supervised { mut planned, .. }, _) = ended(0, delivery);
         planned.join_s = Some(100.0);
         let mut stage = at_work(planned);
         stage.started = Instant::now().checked_sub(Duration::from_secs_f64(waited_s)).unwrap();
         let state = run.state(Phase::Running);
-        assert_eq!(stage.look(&state), Change::None);
-        assert_eq!(stage.outsider, stage.process().filter(|_| is_named), "{delivery:?} after {waited_s} s");
-        let told = logged(|| assert_eq!(stage.look(&state), change, "{delivery:?} after {waited_s} s"));
-        let is_last = (delivery, writer) == (Delivery::Latest, over);
-        assert_eq!(told.contains("the run waits for"), is_last, "{told}");
+        assert_eq!(stage.check(&state), Change::None);
+        assert_eq!(stage.reported_unjoined, stage.process().filter(|_| is_named), "{delivery:?} after {waited_s} s");
+        let told = logged(|| assert_eq!(stage.check(&state), change, "{delivery:?} after {waited_s} s"));
+        let is_awaited_alone = (delivery, writer) == (Delivery::Latest, over);
+        assert_eq!(told.contains("the run waits for"), is_awaited_alone, "{told}");
         assert_eq!((stage.is_gone(), stage.process().is_none()), (change == Change::Lost, change == Change::Lost));
         stage.kill();
     }
     let mut joined = at_work(stage::<Object>());
-    joined.outsider = joined.process();
-    run.tell("stage", joined.process().unwrap(), Life::Running);
-    assert_eq!((joined.look(&run.state(Phase::Running)), joined.outsider), (Change::None, None));
+    joined.reported_unjoined = joined.process();
+    run.write_record("stage", joined.process().unwrap(), Life::Running);
+    assert_eq!((joined.check(&run.state(Phase::Running)), joined.reported_unjoined), (Change::None, None));
     assert!(answers(&mut joined), "it is left at its work");
     let stopping = run.state(Phase::Stopping { since: Instant::now() });
-    assert_eq!((joined.look(&stopping), joined.is_over()), (Change::None, false), "it has its time to end");
+    assert_eq!((joined.check(&stopping), joined.is_over()), (Change::None, false), "it has its time to end");
     joined.kill();
 }
 
@@ -161,16 +173,16 @@ fn a_program_that_does_not_join_is_named_and_then_given_up_where_a_lossless_topi
 fn a_stage_is_brought_on_by_a_process_that_comes_to_work_and_by_the_one_after_it_but_by_no_other() {
     let (mut run, mut stage) = (TrialRun::new(), at_work(stage::<Object>()));
     let options = RunOptions { program: "true".into(), ..RunOptions::default() };
-    let mut turns = |life: Life| {
-        run.tell("stage", stage.process().unwrap(), life);
-        (0..2).for_each(|_| assert_eq!(stage.watch(&run.state(Phase::Running)), Change::None));
-        let at_work = stage.turns();
+    let mut counted_starts = |life: Life| {
+        run.write_record("stage", stage.process().unwrap(), life);
+        (0..2).for_each(|_| assert_eq!(stage.check_heartbeat(&run.state(Phase::Running)), Change::None));
+        let at_work = stage.counted_starts();
         stage.kill();
-        assert_eq!(stage.start_anew(&RunState { options: &options, ..run.state(Phase::Running) }), Change::None);
-        [at_work, stage.turns()]
+        assert_eq!(stage.restart(&RunState { options: &options, ..run.state(Phase::Running) }), Change::None);
+        [at_work, stage.counted_starts()]
     };
     let [starting, running] = [Life::Starting, Life::Running];
-    assert_eq!([starting, running, starting, starting].map(&mut turns), [[0, 0], [1, 2], [2, 2], [2, 2]]);
+    assert_eq!([starting, running, starting, starting].map(&mut counted_starts), [[0, 0], [1, 2], [2, 2], [2, 2]]);
     stage.kill();
 }
 
@@ -180,9 +192,9 @@ fn a_program_that_never_joins_is_named_each_time_it_is_started_and_how_it_could_
     let mut hints = Vec::new();
     for _ in 0..3 {
         stage.started = Instant::now().checked_sub(Duration::from_secs(50)).unwrap();
-        let told = logged(|| assert_eq!(stage.look(&run.state(Phase::Running)), Change::None));
+        let told = logged(|| assert_eq!(stage.check(&run.state(Phase::Running)), Change::None));
         assert!(told.contains("has not joined the run"), "{told}");
-        hints.push(told.contains(HOW_TO_JOIN));
+        hints.push(told.contains(JOIN_HINT));
         stage.kill();
         stage.state = State::Running(echo().into());
     }
@@ -194,10 +206,10 @@ fn a_program_that_never_joins_is_named_each_time_it_is_started_and_how_it_could_
 fn a_program_that_fails_before_it_has_joined_does_not_come_back_when_nothing_can_come_to_it() {
     let mut run = TrialRun::new();
     for (writer, change) in [(Life::Running, Change::None), (Life::Ended, Change::Lost)] {
-        run.tell("writer", 42, writer);
+        run.write_record("writer", 42, writer);
         let (mut stage, _) = ended(1, Delivery::Latest);
         stage.planned.restart = Restart::OnFailure;
-        assert_eq!(stage.look(&run.state(Phase::Running)), change, "its writer: {writer:?}");
+        assert_eq!(stage.check(&run.state(Phase::Running)), change, "its writer: {writer:?}");
         assert_eq!(stage.is_over(), change == Change::Lost);
     }
 }
@@ -208,14 +220,14 @@ fn a_stage_that_hangs_when_it_has_ended_its_stream_is_killed_for_good_where_the_
     for (life, change) in [(Life::Running, Change::None), (Life::Ended, Change::Lost)] {
         let mut stage = at_work(PlannedStage { hang_s: Some(10.5), ..stage::<Object>() });
         let process = stage.process().unwrap();
-        run.tell("stage", process, life);
+        run.write_record("stage", process, life);
         let state = run.state(Phase::Running);
         let sign = state.record("stage").map(|record| record.alive_ns);
         let long_ago = Instant::now().checked_sub(Duration::from_secs(60)).unwrap();
         for second in 0..=10 {
-            stage.watchdog.look(process, sign, None, long_ago + Duration::from_secs(second));
+            stage.watchdog.check(process, sign, None, long_ago + Duration::from_secs(second));
         }
-        assert_eq!((stage.look(&state), stage.is_gone()), (change, change == Change::Lost), "{life:?}");
+        assert_eq!((stage.check(&state), stage.is_gone()), (change, change == Change::Lost), "{life:?}");
         stage.kill();
     }
 }
@@ -227,7 +239,7 @@ fn no_stage_of_a_run_whose_folder_was_removed_is_started_anew() {
         let (mut stage, _) = ended(1, Delivery::Latest);
         stage.planned.restart = Restart::OnFailure;
         let state = RunState { is_removed, ..run.state(Phase::Running) };
-        assert_eq!((stage.look(&state), stage.is_over()), (Change::None, is_removed));
+        assert_eq!((stage.check(&state), stage.is_over()), (Change::None, is_removed));
     }
 }
 
@@ -236,10 +248,10 @@ fn a_source_that_was_started_late_is_told_to_stop_once_it_has_joined() {
     let (mut run, since) = (TrialRun::new(), Instant::now());
     let phase = Phase::Delivering { delivered: 0, since };
     let mut late = Supervised { is_late: true, ..at_work(stage::<Object>()) };
-    late.look(&run.state(phase));
+    late.check(&run.state(phase));
     assert!(late.is_late && answers(&mut late));
-    run.tell("stage", late.process().unwrap(), Life::Running);
-    late.look(&run.state(phase));
+    run.write_record("stage", late.process().unwrap(), Life::Running);
+    late.check(&run.state(phase));
     let State::Running(Guarded { child, .. }) = &mut late.state else { panic!("it is over already") };
     assert_eq!(child.wait().unwrap().signal(), Some(Signal::INT.as_raw()));
     assert!(!late.is_late);
@@ -248,11 +260,11 @@ fn a_source_that_was_started_late_is_told_to_stop_once_it_has_joined() {
 #[test]
 fn a_stage_that_waits_to_come_back_stays_away_when_the_run_ends() {
     let (mut run, since) = (TrialRun::new(), Instant::now());
-    run.tell("stage", 42, Life::Running);
+    run.write_record("stage", 42, Life::Running);
     for (phase, is_over) in [(Phase::Running, false), (Phase::Stopping { since }, true)] {
         let mut stage = supervised(stage::<Object>(), State::Waiting { until: since + WORKED_WELL });
         let state = run.state(phase);
-        assert_eq!((stage.look(&state), stage.is_over()), (Change::None, is_over));
+        assert_eq!((stage.check(&state), stage.is_over()), (Change::None, is_over));
         assert_eq!(state.record("stage").map(|record| record.life() == Life::Gone), Some(is_over));
     }
 }
@@ -274,7 +286,7 @@ fn a_stage_comes_back_when_it_is_time_but_a_source_of_a_run_that_ends_only_where
     ] {
         let mut stage = supervised(planned, State::Waiting { until: since });
         let state = RunState { options: &options, ..run.state(phase) };
-        assert_eq!((stage.look(&state), stage.is_over()), (Change::None, !comes_back), "{phase:?}");
+        assert_eq!((stage.check(&state), stage.is_over()), (Change::None, !comes_back), "{phase:?}");
         assert_eq!((stage.process().is_some(), stage.is_late), (comes_back, is_late), "{phase:?}");
         stage.kill();
     }
@@ -287,19 +299,19 @@ fn a_stage_that_hangs_is_named_and_killed_where_the_file_says_so_and_it_is_told_
     for hang_s in [None, Some(10.5)] {
         let mut stage = at_work(PlannedStage { hang_s, ..stage::<Object>() });
         let process = stage.process().unwrap();
-        run.tell("stage", process, Life::Running);
+        run.write_record("stage", process, Life::Running);
         change_record(&run.folder, "stage", |status| status.steps = 12);
         let state = run.state(Phase::Running);
         let sign = state.record("stage").map(|record| record.alive_ns);
         for second in 0..=10 {
-            stage.watchdog.look(process, sign, None, long_ago + Duration::from_secs(second));
+            stage.watchdog.check(process, sign, None, long_ago + Duration::from_secs(second));
         }
-        let hangs = logged(|| assert_eq!(stage.look(&state), Change::None));
+        let hangs = logged(|| assert_eq!(stage.check(&state), Change::None));
         assert!(hangs.contains("stage `stage` hangs after 12 messages"), "{hangs}");
         assert_eq!(hangs.contains("11.0 s ago, and is killed"), hang_s.is_some(), "{hangs}");
         assert_eq!(answers(&mut stage), hang_s.is_none());
         change_record(state.folder, "stage", |status| status.steps = 13);
-        let goes_on = logged(|| assert_eq!(stage.watch(&state), Change::None));
+        let goes_on = logged(|| assert_eq!(stage.check_heartbeat(&state), Change::None));
         assert!(goes_on.contains("stage `stage` goes on after 11.0 s"), "{goes_on}");
         stage.kill();
     }
@@ -320,7 +332,7 @@ fn what_became_of_a_process_is_what_its_own_record_of_this_run_says() {
         (7, 43, Life::Gone, [false, true, false]),
         (8, 42, Life::Gone, [false, true, false]),
     ] {
-        run.tell("stage", process, life);
+        run.write_record("stage", process, life);
         run.plan.run = number;
         assert_eq!(told(&mut run), expected, "{process} of run {number}: {life:?}");
     }
@@ -354,9 +366,9 @@ fn comes_back(exit: u8, restart: Restart, lived_s: u64) -> Option<(usize, String
     while times < 100 {
         let (Supervised { state, .. }, process) = ended(exit, Delivery::Latest);
         (stage.state, stage.started) = (state, long_ago);
-        run.tell("stage", process, Life::Ended);
+        run.write_record("stage", process, Life::Ended);
         let mut change = Change::None;
-        let told = logged(|| change = stage.look(&run.state(Phase::Running)));
+        let told = logged(|| change = stage.check(&run.state(Phase::Running)));
         if change == Change::Lost {
             return Some((times, told));
         }

@@ -39,7 +39,7 @@ impl<R: Reader> InputPort<R> {
     }
 
     /// Continues after the messages that an earlier process of this stage, which kept no counts, has finished.
-    pub fn go_on(&mut self) {
+    pub fn skip_finished(&mut self) {
         let finished = self.reader.acknowledged().unwrap_or_default();
         self.resume_from_acknowledged(finished, LastMessage::default());
     }

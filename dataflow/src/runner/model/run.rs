@@ -28,8 +28,8 @@ pub(super) enum Event {
     StepComing,
     /// The launcher checks a stage: `Supervised::look`.
     Look(usize),
-    /// The launcher advances the swap: `Swap::go_on`.
-    GoOn,
+    /// The launcher advances the swap: `Swap::advance`.
+    AdvanceSwap,
     /// Any process cleans up dead processes: `clean_dead_nodes`.
     ClearAway,
     Kill(usize),
@@ -136,7 +136,7 @@ impl Run {
         };
         events.extend((0..STAGES.len()).filter(is_to_be_looked_at).map(Event::Look));
         events.extend(self.coming.iter().map(|_| Event::StepComing));
-        events.extend(Some(Event::GoOn).filter(|_| self.swap != Swap::None));
+        events.extend(Some(Event::AdvanceSwap).filter(|_| self.swap != Swap::None));
         events.extend(Some(Event::ClearAway).filter(|_| self.memory.has_dead()));
         if self.kills.iter().sum::<u8>() < trial.kills {
             events.extend(processes.map(Event::Kill));
@@ -157,7 +157,7 @@ impl Run {
             Event::Step(stage) => next.step(stage, trial),
             Event::StepComing => next.step_coming(trial),
             Event::Look(stage) => next.look(stage),
-            Event::GoOn => next.go_on(),
+            Event::AdvanceSwap => next.advance_swap(),
             Event::ClearAway => next.memory.clear_away(),
             Event::Kill(stage) => next.kill(stage),
             Event::KillComing => next.kill_coming(),
@@ -274,8 +274,8 @@ impl Run {
         }
     }
 
-    /// Models `Swap::go_on`.
-    fn go_on(&mut self) {
+    /// Models `Swap::advance`.
+    fn advance_swap(&mut self) {
         let is_at_work = self.is_at_work();
         let at_work = &mut self.stages[MIDDLE];
         match self.swap {
