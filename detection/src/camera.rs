@@ -55,6 +55,14 @@ pub fn scan(ellipse: &Ellipse) -> Scan {
     }
 }
 
+/// Returns the code of a direction in an ellipse's message.
+pub fn scan_code(scan: Scan) -> u32 {
+    match scan {
+        Scan::Row => messages::Scan::Row.code(),
+        Scan::Column => messages::Scan::Column.code(),
+    }
+}
+
 /// Returns a pose from its rows `[R | t]`; the receiver of the message has checked that R is a rotation.
 pub fn isometry(rows: &[[f64; 4]; 3]) -> IsometryMatrix3<f64> {
     let rotation = Matrix3::from_fn(|row, column| rows[row][column]);

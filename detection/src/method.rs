@@ -32,6 +32,11 @@ pub(crate) fn detect<'a>(
 
 impl Extractor {
     /// Returns the ellipses of a depth image (`width * height` pixels row by row), in the order of the scan lines.
+    ///
+    /// The header's camera and depth scale have to be those of the image. Its noise model gives the growth of the noise with the
+    /// depth, and a first guess of its level, which is then estimated from the image. `Header::default()` has
+    /// [`NoiseModel::IDEAL`](conicflow_messages::NoiseModel::IDEAL): a sensor without noise. [`Detector`](crate::Detector) takes
+    /// the same steps and starts from the noise of a Kinect v1.
     pub fn extract(&mut self, header: &Header, image: &[u16]) -> &[Ellipse] {
         self.noise = self.estimate_noise(header, image);
         self.ellipses.clear();
@@ -97,7 +102,7 @@ impl Extractor {
 }
 
 impl Assembler {
-    /// Returns the objects that the ellipses of one image form.
+    /// Returns the objects that the ellipses of one image form. `header` is that of the image: see [`Extractor::extract`].
     pub fn assemble(&mut self, header: &Header, ellipses: &[Ellipse]) -> &[Object] {
         let Self { parameters, arcs, seeds, grower, contours, objects, candidates, rejections } = self;
         let deadline = parameters.deadline();
@@ -117,8 +122,8 @@ impl Assembler {
                 Ok(()) => continue,
                 // Too few lines: most such chains are blobs of noise, which are the most strongly curved and mostly cost no fit.
                 // They do not count as failed growth.
-                Err(Rejection::FewRows) => {
-                    rejections.count(Rejection::FewRows);
+                Err(Rejection::FewLines) => {
+                    rejections.count(Rejection::FewLines);
                     seeds.exclude(&grower.chain);
                 }
                 Err(reason) => {

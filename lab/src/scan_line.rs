@@ -1,7 +1,7 @@
 //! The scan lines of a depth image for the baselines, and the messages of ellipses fitted to their points.
 
 use conicflow_detection::ScanLines;
-use conicflow_detection::camera::pinhole;
+use conicflow_detection::camera::{pinhole, scan_code};
 use conicflow_geometry::{self as geometry, PlaneMoments, Scan, ScanPlane};
 use conicflow_messages::{Ellipse, Header, is_measured};
 
@@ -61,7 +61,7 @@ impl ScanLine {
         arc: f64,
     ) -> Ellipse {
         Ellipse {
-            scan: if self.plane.scan() == Scan::Row { 0 } else { 1 },
+            scan: scan_code(self.plane.scan()),
             line: self.number,
             line_step: self.step,
             first,

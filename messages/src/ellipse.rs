@@ -100,7 +100,7 @@ impl Ellipse {
     }
 
     /// Number of its points per independent noise value, at least 1: with few points, hardly any share their noise.
-    pub fn shared(&self) -> f64 {
+    pub fn points_per_sample(&self) -> f64 {
         let points = f64::from(self.points.max(1));
         points / ((points - 1.0) / self.correlation_px.max(1.0) + 1.0)
     }
@@ -191,8 +191,8 @@ mod tests {
 
     #[test]
     fn noise_that_nothing_tells_of_is_not_shared() {
-        assert_eq!(Ellipse::default().shared(), 1.0);
-        let shared = |points| Ellipse { correlation_px: 2.5, points, ..Ellipse::default() }.shared();
+        assert_eq!(Ellipse::default().points_per_sample(), 1.0);
+        let shared = |points| Ellipse { correlation_px: 2.5, points, ..Ellipse::default() }.points_per_sample();
         assert_eq!((shared(1), shared(0)), (1.0, 1.0), "there is none to share it with");
         assert!((shared(10_000) - 2.5).abs() < 1e-3 && shared(6) == 2.0, "{} and {}", shared(10_000), shared(6));
     }

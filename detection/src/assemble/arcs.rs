@@ -86,7 +86,7 @@ impl Arc {
     fn new(header: &Header, ellipse: &Ellipse, step: u32) -> Option<Self> {
         let (camera, scan) = (pinhole(&header.camera), scan(ellipse));
         let plane = camera.plane(scan, f64::from(ellipse.line));
-        let shared = ellipse.shared();
+        let shared = ellipse.points_per_sample();
         let moments = PlaneMoments::from_sums(ellipse.origin, ellipse.moments.map(|m| m / shared));
         let mean = plane.to_camera(moments.mean()?);
         let ray = |pixel: f64| camera.ray_slope(scan, pixel);

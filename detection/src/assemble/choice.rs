@@ -36,17 +36,13 @@ pub(crate) struct Chosen<'a> {
 }
 
 /// Chooses the candidate that explains most points; of those that explain about as many, the one with fewer parameters, unless
-/// the other explains them better. Without a candidate, the reason is that of the most general shape that grew.
+/// the other explains them better.
 pub(crate) fn choose<'a>(
     found: Verified<'a>,
     parameters: &AssemblerParameters,
     contours: &mut ContourCalibration,
 ) -> Result<Chosen<'a>, Rejection> {
-    let mut reasons = found.iter().filter_map(|found| found.as_ref().err()).copied();
-    let of_grown = reasons.rfind(|reason| *reason != Rejection::NotGrown);
-    // If a cone is the only candidate, its half-angle is uncertain.
-    let alone = if found.iter().any(Result::is_ok) { Rejection::Taper } else { Rejection::NotGrown };
-    let reason = of_grown.unwrap_or(alone);
+    let reason = reason_without_shape(&found);
     let [sphere, cylinder, cone] = found;
     let cone = cone.map(|cone| (cone, report(&cone.region, &cone.measured)));
     let may_be_cone = speaks_against_cylinder(cone.as_ref());
@@ -77,6 +73,14 @@ pub(crate) fn choose<'a>(
     Ok(Chosen { candidate: best, object, evidence })
 }
 
+/// Returns the reason if none of the shapes is chosen: that of the most general shape that grew.
+fn reason_without_shape(found: &Verified) -> Rejection {
+    let mut reasons = found.iter().filter_map(|found| found.as_ref().err()).copied();
+    // A cone that is the only candidate was not chosen because its half-angle is uncertain.
+    let alone = if found.iter().any(Result::is_ok) { Rejection::Taper } else { Rejection::NotGrown };
+    reasons.rfind(|reason| *reason != Rejection::NotGrown).unwrap_or(alone)
+}
+
 /// Returns whether the cone that grew from the same arcs speaks against the cylinder: if its half-angle is unknown, if its
 /// half-angle may well differ from zero, or if the cone fails as an object although it could be a cylinder.
 fn speaks_against_cylinder(cone: Result<&(Candidate, Object), &Rejection>) -> bool {
@@ -86,7 +90,7 @@ fn speaks_against_cylinder(cone: Result<&(Candidate, Object), &Rejection>) -> bo
             sigma > wider * UNKNOWN_HALF_ANGLE
                 || sigma > wider * UNSURE_HALF_ANGLE && object.half_angle > UNSURE_SIGMAS * sigma
         }
-        Err(Rejection::FewRows | Rejection::Small | Rejection::Tilted) => true,
+        Err(Rejection::FewLines | Rejection::Small | Rejection::Tilted) => true,
         Err(_) => false,
     }
 }

@@ -93,7 +93,7 @@ pub(crate) fn chain(arcs: &Arcs, seed: usize, gap: i64, free: impl Fn(usize) -> 
 /// Checks that a chain has enough arcs, and that together they are surely curved.
 pub(crate) fn is_promising(arcs: &Arcs, chain: &[usize], parameters: &AssemblerParameters) -> Result<(), Rejection> {
     if chain.len() < parameters.pooled.min_lines as usize {
-        return Err(Rejection::FewRows);
+        return Err(Rejection::FewLines);
     }
     let bulge: f64 = chain.iter().map(|&index| arcs.arcs[index].bulge).sum();
     let [mean, variance] = STRAIGHT.map(|moment| moment * chain.len() as f64);
@@ -385,7 +385,7 @@ mod tests {
         let of = |lines: usize| super::is_promising(&arcs, &left[..lines], &AssemblerParameters::default());
         assert_eq!(
             [of(9), of(10)],
-            [Err(Rejection::FewRows), Err(Rejection::Flat)],
+            [Err(Rejection::FewLines), Err(Rejection::Flat)],
             "ten are as many as there have to be"
         );
     }

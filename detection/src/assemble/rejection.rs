@@ -3,7 +3,7 @@
 crate::rejections! {
     /// The reason for which a candidate is rejected.
     Rejection, Rejections:
-    FewRows => "candidates of too few rows",
+    FewLines => "candidates of too few lines",
     Gaps => "candidates with too many gaps",
     ShortArc => "candidates of short arcs",
     Flat => "candidates as flat as a plane",

@@ -123,7 +123,7 @@ fn check(region: &Region, parameters: &AssemblerParameters) -> Result<Measured, 
         // Only the far wall is seen, so it has no middle.
         Err(Rejection::Short)
     } else if measured.lines < parameters.pooled.min_lines {
-        Err(Rejection::FewRows)
+        Err(Rejection::FewLines)
     } else if height_in_view(region) < parameters.pooled.min_view_deg.to_radians() {
         Err(Rejection::Small)
     } else if f64::from(measured.lines) < parameters.pooled.min_coverage * f64::from(last.line - first.line + 1) {
@@ -279,7 +279,7 @@ mod tests {
             parameters.pooled.min_lines = min_lines;
             check(&region, &parameters).err()
         };
-        assert_eq!([lines - 1, lines, lines + 1].map(&mut is_too_low), [None, None, Some(Rejection::FewRows)]);
+        assert_eq!([lines - 1, lines, lines + 1].map(&mut is_too_low), [None, None, Some(Rejection::FewLines)]);
         let every_other: Vec<_> =
             region.members.iter().copied().filter(|arc| arcs.arcs[*arc].line.is_multiple_of(2)).collect();
         parameters.pooled.min_lines = 1;

@@ -5,7 +5,8 @@ use super::rays::Rays;
 use super::rejection::ArcRejection;
 use super::run::{MIN_ARC_POINTS, Run};
 use super::segments::Segment;
-use conicflow_geometry::{ArcFit, ArcMoments, Circle, LineSums, PlaneMoments, Scan};
+use crate::camera::scan_code;
+use conicflow_geometry::{ArcFit, ArcMoments, Circle, LineSums, PlaneMoments};
 use conicflow_messages::{END_POINTS, Ellipse};
 use std::ops::Range;
 
@@ -229,7 +230,7 @@ fn message(rays: &Rays, image: &[u16], points: Range<usize>, fit: &ArcFit, momen
         (s - fit.circle.center[0]).atan2(fit.circle.center[1] - t)
     };
     Ellipse {
-        scan: if rays.view.scan == Scan::Row { 0 } else { 1 },
+        scan: scan_code(rays.view.scan),
         line: rays.line.number,
         first: rays.pixel(first),
         last: rays.pixel(last),

@@ -48,7 +48,7 @@ impl CoarseLines {
         let square_stretch = plane.stretch().powi(2);
         let is_curved = |arc: &Ellipse| {
             // Points that share their noise hold no more information than fewer independent ones.
-            let variance = arc.sigma * arc.sigma * square_stretch * arc.shared();
+            let variance = arc.sigma * arc.sigma * square_stretch * arc.points_per_sample();
             bulge(&PlaneMoments::from_sums(arc.origin, arc.moments), variance) >= OPENS_GAP_CHI2
         };
         self.curved.extend(self.arcs[self.curved.len()..].iter().map(is_curved));
