@@ -1,6 +1,6 @@
-//! A process of a run is killed before each of the calls by which it makes, shows or removes something that it shares: kills at
-//! random moments seldom hit these. A few of them are tried; all, in a quarter of an hour, by
-//! `CONICFLOW_CRASH_POINTS=1000 cargo test --test end_to_end -- crash_points --nocapture`.
+//! Kills a process of a run before each system call that creates, publishes or removes a shared resource, which kills at random
+//! moments seldom hit. The test tries a few of these calls. `CONICFLOW_CRASH_POINTS=1000 cargo test --test end_to_end --
+//! crash_points --nocapture` tries all of them, in nine minutes on two cores.
 
 #![allow(unsafe_code)] // the calls of another process are seen by `ptrace`
 
