@@ -68,7 +68,7 @@ mod tests {
     use serde_json::to_value;
 
     #[test]
-    fn settled_parameters_are_read_as_they_were_written() {
+    fn parameters_that_are_written_and_read_are_the_same() {
         fn check<C: Default + Serialize + DeserializeOwned>() {
             let settled = to_value(C::default()).unwrap();
             assert_eq!(to_value(serde_json::from_value::<C>(settled.clone()).unwrap()).unwrap(), settled);

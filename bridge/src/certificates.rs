@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn a_certificate_out_of_its_time_or_of_another_authority_is_told_once() {
+    fn an_expired_early_or_foreign_certificate_is_reported_once() {
         let (Some(one), Some(other)) = (made(), made()) else { return };
         let (one, other) = (one.path(), other.path());
         let in_days = |days: i64| {
@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn a_certificate_for_servers_alone_can_be_listened_with_and_no_more() {
+    fn a_certificate_for_servers_alone_is_accepted_for_listening_and_refused_for_connecting() {
         let Some(folder) = made() else { return };
         let script = "printf 'subjectAltName=DNS:localhost\nextendedKeyUsage=serverAuth\n' > usage\n\
                       openssl req -new -key robot.key -subj /CN=robot | openssl x509 -req -CA ca.pem -CAkey ca.key \
@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn times_are_told_in_units_that_suit_them() {
+    fn durations_are_reported_in_suitable_units() {
         let words = [0, 61, 7199, 7200, 172_799, 172_800].map(in_words);
         assert_eq!(words, ["0 min", "2 min", "120 min", "2 h", "47 h", "2 days"]);
     }

@@ -223,7 +223,7 @@ fn carry(key: Option<&LinkKey>, delivery: Delivery, count: u64) -> (Vec<u64>, u6
 }
 
 #[test]
-fn a_lossless_edge_carries_each_message_of_its_writers_and_their_end_and_both_machines_know_that_it_is_finished() {
+fn a_lossless_edge_carries_each_message_and_the_end_and_both_machines_know_that_it_is_finished() {
     for key in [Some(&secret()), None] {
         let (came, told, [robot, base]) = carry(key, Delivery::Lossless, 40);
         assert_eq!((came, told), ((0..40).collect(), 40));
@@ -239,7 +239,7 @@ fn a_lossless_edge_carries_each_message_of_its_writers_and_their_end_and_both_ma
 }
 
 #[test]
-fn an_edge_where_the_newest_wins_carries_messages_in_their_order_and_the_end() {
+fn a_latest_edge_carries_messages_in_order_and_the_end() {
     let (came, told, [robot, base]) = carry(None, Delivery::Latest, 40);
     assert!(came.is_sorted_by(|a, b| a < b) && told == 40, "{came:?} of {told}");
     assert!(base.counts.messages.load(Ordering::Relaxed) <= robot.counts.messages.load(Ordering::Relaxed));
@@ -247,7 +247,7 @@ fn an_edge_where_the_newest_wins_carries_messages_in_their_order_and_the_end() {
 }
 
 #[test]
-fn what_was_long_under_way_is_passed_on_only_where_none_may_be_missed() {
+fn a_stale_message_is_passed_on_over_a_lossless_edge_and_dropped_with_latest() {
     let sent_at = |number: u64, sent_ns: u64| {
         let mut header = header("writer", number);
         header.hops[0].sent_ns = sent_ns;
@@ -260,7 +260,7 @@ fn what_was_long_under_way_is_passed_on_only_where_none_may_be_missed() {
 }
 
 #[test]
-fn what_makes_no_sense_is_passed_over_and_acknowledged_so_that_what_follows_comes() {
+fn malformed_messages_are_skipped_and_acknowledged_so_that_later_ones_arrive() {
     let of_writer = |number| on_the_wire(&header("writer", number), number, 0);
     let (cut, ahead) = (of_writer(2).len() - 1, on_the_wire(&header("writer", 3), 3, 9));
     let messages = [
@@ -275,14 +275,14 @@ fn what_makes_no_sense_is_passed_over_and_acknowledged_so_that_what_follows_come
 }
 
 #[test]
-fn a_message_whose_number_was_not_reached_is_told_when_the_true_ones_come() {
+fn a_forged_message_with_a_number_not_yet_reached_is_reported_when_genuine_ones_arrive() {
     let messages = [300, 1].map(|number| on_the_wire(&header("writer", number), number, number));
     let (counts, ack) = accepted_with(None, Delivery::Lossless, &messages);
     assert_eq!((counts, ack.next), ([2, 0, 1, 0], 2));
 }
 
 #[test]
-fn a_message_that_was_not_the_next_of_its_writer_is_left_out_and_told_when_the_true_one_comes() {
+fn a_message_that_does_not_follow_the_last_of_its_writer_is_left_out_and_reported_when_the_genuine_one_arrives() {
     let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
     let robot = Side::new("robot", edge(Delivery::Lossless, BRIDGE), folders[0].path(), None);
     let base = Side::new("base", edge(Delivery::Lossless, "reader"), folders[1].path(), None);
@@ -310,8 +310,7 @@ fn a_message_that_was_not_the_next_of_its_writer_is_left_out_and_told_when_the_t
 /// The first bridge is killed after it has acknowledged the end and before it has announced it to a reader. Of the other machine,
 /// only the first of three messages comes again; the end accounts for the other two.
 #[test]
-fn a_bridge_that_takes_the_place_of_one_which_acknowledged_the_end_tells_it_with_its_count_and_notes_it_for_who_comes_later()
- {
+fn a_bridge_that_replaces_one_which_acknowledged_the_end_announces_it_with_its_count_and_notes_it_for_later_readers() {
     for (delivery, outage) in [(Delivery::Latest, OUTAGE), (Delivery::Lossless, Duration::from_millis(300))] {
         let folders = [0, 1, 2].map(|_| tempfile::tempdir().unwrap());
         let [of_robot, of_base, of_run] = folders.each_ref().map(|folder| folder.path());

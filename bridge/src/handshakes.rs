@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn a_failed_handshake_is_told_by_who_refuses_whom_and_why() {
+    fn the_report_of_a_failed_handshake_says_who_refuses_whom_and_why() {
         let (begin, end) =
             ("Can not create a new TLS link bound to DnsName(\"a\"): ", " at /root/zenoh/unicast.rs:343.");
         let connecting =

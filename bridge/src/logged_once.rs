@@ -30,7 +30,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_text_is_told_once_and_no_more_than_so_many() {
+    fn each_text_is_logged_once_up_to_a_maximum_number_of_texts() {
         let mut told = LoggedOnce::new();
         assert_eq!(["a", "a", "b", "a"].map(|text| told.admits(text)), [true, false, true, false]);
         assert!(told.texts().iter().eq(["a", "b"]));

@@ -65,7 +65,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_with_a_machine_and_where_it_listens_are_told() {
+    fn the_faults_of_a_machine_and_its_listen_endpoints_are_printed() {
         let listening = |endpoint: &str| Machine { listen: vec![endpoint.to_owned()], ..Machine::default() };
         let endpoint = "tcp/127.0.0.1:7447";
         let checked =
@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_question_or_about_no_machine_is_refused() {
+    fn unknown_questions_and_broken_tables_are_refused() {
         let refused = |question: &str, table: &str| answer(question, table.as_bytes()).unwrap_err().to_string();
         assert!(refused("listen", "{}").contains("`listen` is nothing that can be asked\n  hint: "));
         assert!(refused("check", "[").contains("EOF") && refused("endpoints", "[").contains("EOF"));

@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn two_bridges_tell_that_they_meet_and_carry_an_edge_until_its_end_and_the_next_of_the_run_knows() {
+    fn two_bridges_report_their_link_and_carry_an_edge_to_its_end_and_the_journal_holds_it() {
         let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
         let (plans, [robot, base]) = (plans(), folders.each_ref().map(tempfile::TempDir::path));
         let edge = &plans[1].incoming[0];
@@ -301,19 +301,19 @@ mod tests {
     }
 
     #[test]
-    fn a_bridge_ends_where_all_who_read_what_comes_have_ended_although_nobody_sends_it() {
+    fn a_bridge_ends_when_all_readers_have_ended_although_no_other_machine_is_there() {
         assert_eq!(ended_alone(Stop::default()), Some(Life::Ended));
     }
 
     #[test]
-    fn a_bridge_that_is_told_to_end_in_order_while_it_starts_comes_to_its_end_all_the_same() {
+    fn a_bridge_that_is_asked_to_end_in_order_while_it_starts_still_ends_in_order() {
         let stop = Stop::default();
         stop.request();
         assert_eq!(ended_alone(stop), Some(Life::Ended));
     }
 
     #[test]
-    fn a_bridge_that_is_made_to_end_has_not_come_to_its_end_and_leaves_a_journal_where_another_can_come_after_it() {
+    fn a_bridge_that_is_forced_to_end_has_not_ended_in_order_and_leaves_a_journal_if_another_may_replace_it() {
         for (run, is_kept) in [(RUN, true), (NO_RUN, false)] {
             let (folder, stop, [robot, _]) = (tempfile::tempdir().unwrap(), Stop::default(), plans());
             let is_running =
@@ -335,7 +335,7 @@ mod tests {
     }
 
     #[test]
-    fn a_heartbeat_is_sent_at_once_with_news_or_to_answer_and_else_five_times_a_second() {
+    fn a_heartbeat_is_sent_at_once_with_news_or_as_an_answer_and_otherwise_five_times_a_second() {
         let (none, some) = (News::default(), News { acks: vec![Ack::default()], ..News::default() });
         let begin = Instant::now();
         let is_due = |owes_answer: bool, news: &News, passed_ms: u64| {

@@ -424,7 +424,7 @@ mod tests {
     }
 
     #[test]
-    fn times_of_the_other_machine_become_own_ones_and_none_is_after_now() {
+    fn times_of_the_other_machine_are_converted_to_the_local_clock_and_never_lie_in_the_future() {
         let hops = [[5100, 5300], [5400, 5900]];
         assert_eq!(own_times(Some(5000), hops), ([[100, 300], [400, 900]], 100));
         assert_eq!(own_times(Some(4500), hops), ([[600, 800], [900, 1000]], 0), "it cannot be sent later than it came");
@@ -443,7 +443,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_reads_for_good_when_no_reader_was_at_work_for_a_while_however_long_it_took_to_look_again() {
+    fn readers_are_gone_for_good_after_a_time_without_any_however_long_the_pause_between_two_checks() {
         let start = Instant::now();
         let looks = |looks: &[(u64, bool)]| {
             let mut unread = Unread::default();
@@ -471,7 +471,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_passes_that_the_present_bridge_there_has_not_made_and_it_is_counted() {
+    fn only_messages_of_the_present_session_of_the_other_bridge_pass_and_others_are_counted() {
         let secrets = [secret(), secret()];
         let links = |machine: &str, peer: &str, session: u64| {
             let plan = BridgePlan { machine: machine.into(), incoming: vec![edge(peer)], ..BridgePlan::default() };

@@ -289,7 +289,7 @@ mod tests {
     use conicflow_messages::{Camera, Object};
 
     #[test]
-    fn an_image_that_is_too_large_or_does_not_fill_its_size_is_left_out_and_counted_and_others_are_sent() {
+    fn an_image_that_is_too_large_or_incomplete_is_left_out_and_counted_and_others_are_sent() {
         for compression in [Compression::None, Compression::Lz4, Compression::Zstd] {
             let edge = Edge { item: ItemType::of::<u16>(), compression, ..edge(Delivery::Latest, BRIDGE) };
             let counts = Arc::<EdgeCounts>::default();
@@ -311,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn no_more_leaves_than_what_is_not_acknowledged_has_room_for() {
+    fn sending_stops_when_the_log_of_unacknowledged_messages_is_full() {
         let folder = tempfile::tempdir().unwrap();
         let robot = Side::new("robot", edge(Delivery::Lossless, BRIDGE), folder.path(), None);
         let ([sessions, _], peers) = (joined(|address| address), Peers::default());
@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn where_the_newest_wins_what_was_sent_between_two_bridges_of_a_run_is_counted_as_dropped_and_missing() {
+    fn with_latest_messages_sent_between_two_bridges_of_a_run_count_as_dropped_and_missing() {
         let folder = tempfile::tempdir().unwrap();
         let robot = Side::new("robot", edge(Delivery::Latest, BRIDGE), folder.path(), None);
         let ([sessions, _], peers) = (joined(|address| address), Peers::default());
@@ -342,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn where_the_newest_wins_an_edge_is_wanted_by_who_listens_to_its_key() {
+    fn with_latest_an_edge_is_wanted_by_any_subscriber_of_its_key() {
         let folder = tempfile::tempdir().unwrap();
         let robot = Side::new("robot", edge(Delivery::Latest, BRIDGE), folder.path(), None);
         let ([sessions, base], peers) = (joined(|address| address), Peers::default());
@@ -353,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn who_is_made_to_end_counts_what_was_not_acknowledged_as_lost() {
+    fn an_edge_that_is_forced_to_end_counts_unacknowledged_messages_as_lost() {
         let folder = tempfile::tempdir().unwrap();
         let robot = Side::new("robot", edge(Delivery::Lossless, BRIDGE), folder.path(), None);
         let ([sessions, _], peers) = (joined(|address| address), Peers::default());
@@ -366,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_lost_is_told_and_nothing_where_all_arrived() {
+    fn lost_messages_are_reported_and_nothing_when_all_arrived() {
         assert_eq!(loss(0, "objects"), None);
         assert!(loss(1, "objects").unwrap().starts_with("1 messages of the lossless topic `objects`"));
     }

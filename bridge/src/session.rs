@@ -301,7 +301,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn short_messages_come_by_datagrams_though_the_question_for_them_is_lost_and_by_the_stream_where_none_come() {
+    fn short_messages_use_datagrams_even_after_a_lost_subscription_and_the_stream_when_no_datagrams_come() {
         for between in [|address: SocketAddr| address, losing_the_first_with_the_key] {
             let [robot, base] = joined(between);
             let (take, heard) = channel();
@@ -324,7 +324,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn who_listens_to_datagrams_is_asked_anew_after_a_while_and_not_with_each_message() {
+    fn a_publisher_asks_for_datagram_subscribers_again_after_a_while_and_not_with_each_message() {
         let [robot, _base] = joined(|address| address);
         let mut publisher = robot.publisher(KEY, true, Priority::InteractiveHigh).unwrap();
         wait_until("there are datagrams", || {
@@ -342,7 +342,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn who_sends_no_datagrams_is_asked_anew_after_a_while_and_not_with_each_look() {
+    fn a_subscriber_asks_for_datagrams_again_after_a_while_and_not_with_each_check() {
         let [_robot, base] = joined(|address| address);
         let mut subscriber = base.subscriber(KEY, Some(Duration::from_secs(1)), |_| ()).unwrap();
         wait_until("there are datagrams", || {
@@ -360,7 +360,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn it_is_known_whether_anybody_is_there_and_whether_anybody_listens() {
+    fn it_is_known_whether_a_machine_is_reached_and_whether_it_subscribes() {
         let alone = Sessions::open(&Machine::default(), &Stop::default(), || ()).unwrap().unwrap();
         let [robot, base] = joined(|address| address);
         let publisher = robot.publisher(KEY, false, Priority::DataLow).unwrap();
@@ -371,13 +371,13 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn what_zenoh_says_is_told_without_the_place_in_its_source() {
+    fn errors_of_zenoh_are_reported_without_their_place_in_its_source() {
         let error = std::io::Error::other("Can not bind a listener at /root/zenoh/src/orchestrator.rs:123.");
         assert_eq!(in_short(&error), "Can not bind a listener");
     }
 
     #[test]
-    fn what_is_long_or_must_not_be_lost_goes_by_the_stream_alone() {
+    fn long_or_lossless_messages_use_only_the_stream() {
         let [robot, base] = joined(|address| address);
         let (take, heard) = channel();
         let mut publisher = robot.publisher(KEY, false, Priority::DataLow).unwrap();

@@ -71,7 +71,7 @@ mod tests {
     use crate::Camera;
 
     #[test]
-    fn length_has_to_match_the_header() {
+    fn the_number_of_pixels_has_to_match_the_header() {
         let camera = Camera { width: 4, height: 3, ..Camera::default() };
         let header = Header { camera, ..Header::default() };
         assert!(u16::check(&header, &[0; 12]).is_ok());

@@ -279,7 +279,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn kinect_noise_is_that_of_the_papers() {
+    fn the_noise_of_the_kinect_is_that_of_the_papers() {
         let model = NoiseModel::KINECT_V1;
         let step = 4.0 / (8.0 * 580.0 * 0.075);
         let expected = ((0.0012 + 0.0019 * 1.6_f64.powi(2)).powi(2) + step * step / 12.0).sqrt();
@@ -345,7 +345,7 @@ mod tests {
     }
 
     #[test]
-    fn of_the_ways_to_swap_and_turn_round_axes_those_without_a_mirror_are_rotations() {
+    fn swaps_and_reversals_of_axes_are_rotations_unless_they_mirror() {
         for (order, even) in [[0, 1, 2], [1, 2, 0], [2, 0, 1]].map(|order| (order, true)).into_iter().chain([
             ([0, 2, 1], false),
             ([2, 1, 0], false),

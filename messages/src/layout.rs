@@ -303,7 +303,7 @@ mod tests {
     }
 
     #[test]
-    fn where_c_would_leave_a_hole_a_layout_is_refused() {
+    fn a_layout_with_padding_is_refused() {
         let before = layout(&[("id", "u32"), ("width", "f64")]).unwrap_err();
         assert_eq!(before.field, 1);
         assert_eq!(before.what, "`width` would begin at byte 4, C would leave 4 bytes of padding before it");
@@ -314,7 +314,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_type_or_name_or_too_long_is_refused() {
+    fn unknown_types_invalid_names_and_long_layouts_are_refused() {
         let types = [
             "",
             "f16",
@@ -361,7 +361,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_that_are_not_finite_and_bytes_that_are_no_text_are_refused() {
+    fn infinite_numbers_and_bytes_that_are_no_text_are_refused() {
         let layout = layout(&GRASP).unwrap();
         let check = |spoil: fn(&mut Grasp)| {
             let mut items = [grasp(); 3];

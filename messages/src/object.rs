@@ -150,7 +150,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn codes_and_shapes_match() {
+    fn the_codes_of_shapes_are_decoded_to_the_same_shapes() {
         for shape in ObjectKind::ALL {
             assert_eq!(ObjectKind::from_code(shape.code()), Some(shape));
             let object = Object { kind: shape.code(), ..Object::default() };

@@ -94,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn a_track_that_nobody_is_sure_of_yet_has_no_label() {
+    fn a_tentative_track_has_no_label() {
         let label = |state: TrackState| Track { state: state.code(), ..Track::default() }.label();
         let all = TrackState::ALL;
         assert_eq!(all.map(label), [None, Some("sphere"), Some("sphere")]);

@@ -160,7 +160,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_of_each_kind_are_told_as_they_are_and_what_is_absent_is_left_out() {
+    fn numbers_of_each_kind_are_written_exactly_and_absent_values_are_left_out() {
         let value =
             |element: Element, bytes: &[u8]| Value::Numbers { element, is_list: false, bytes: bytes.to_vec().into() };
         let fields = Fields(vec![

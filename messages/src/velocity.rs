@@ -65,7 +65,7 @@ mod tests {
     use crate::ToJson;
 
     #[test]
-    fn codes_and_frames_match() {
+    fn the_codes_of_frames_are_decoded_to_the_same_frames() {
         for frame in Frame::ALL {
             assert_eq!(Frame::from_code(frame.code()), Some(frame));
         }
@@ -73,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn a_velocity_in_no_frame_or_without_end_is_refused() {
+    fn a_velocity_in_an_unknown_frame_or_an_infinite_one_is_refused() {
         let good = Velocity { linear: [0.0, 0.0, 0.8], ..Velocity::default() };
         let check =
             |velocity| Velocity::check(&Header::default(), &[good, velocity]).map_err(|error| error.to_string());

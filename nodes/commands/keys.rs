@@ -231,7 +231,7 @@ mod tests {
     use PauseRequest::{Step, Toggle};
 
     #[test]
-    fn keys_stand_for_requests_and_others_for_nothing() {
+    fn known_keys_are_requests_and_other_keys_are_ignored() {
         let asked = |keys: &[u8]| requests(keys).collect::<Vec<_>>();
         assert_eq!(asked(b" "), [Toggle]);
         assert_eq!(asked(b". \x1b[C\x1bOC"), [Step, Toggle, Step, Step]);

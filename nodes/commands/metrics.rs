@@ -356,14 +356,14 @@ mod tests {
     }
 
     #[test]
-    fn what_programs_of_ones_own_call_their_counts_is_escaped() {
+    fn names_of_counts_of_other_programs_are_escaped() {
         let expected = "# HELP conicflow_events What is odd\n# TYPE conicflow_events counter\n\
                         conicflow_events_total{pipeline=\"odd\",event=\"a \\\"b\\\\c\\nd\"} 3\n# EOF\n";
         assert_eq!(text("odd", Odd), expected);
     }
 
     #[test]
-    fn every_time_is_in_one_bucket() {
+    fn each_duration_is_in_exactly_one_bucket() {
         let mut times = Durations::default();
         [1, 70, 1000, 1000, 8_000_000, 100_000_000].into_iter().for_each(|us: u64| times.add(us * 1000));
         let buckets = buckets(&times);

@@ -405,7 +405,7 @@ mod tests {
     use anyhow::anyhow;
 
     #[test]
-    fn a_level_is_a_word_that_there_is() {
+    fn an_unknown_log_level_is_refused() {
         for good in ["debug", "WARN", "off", "conicflow_dataflow=debug", "info,zenoh=debug", "warn,[step]=trace"] {
             assert_eq!(log_filter(good).as_deref(), Ok(good));
         }
@@ -416,7 +416,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_system_refuses_is_no_wrong_input() {
+    fn errors_of_the_system_have_another_exit_code_than_wrong_input() {
         let full = || anyhow::Error::from(io::Error::from(ErrorKind::StorageFull));
         assert_eq!(exit_code(&full().context("cannot write `results/table.csv`")), FAILED);
         let told = || Hinted::of_writing("cannot write to `out.jsonl`", &ErrorKind::StorageFull.into());

@@ -130,7 +130,7 @@ mod tests {
     use conicflow_messages::Hop;
 
     #[test]
-    fn what_was_missed_shows_in_the_numbers_of_each_writer() {
+    fn missed_messages_are_counted_by_the_numbers_of_each_writer() {
         let mut tally = Tally::default();
         for (writer, number) in [("left", 4), ("right", 0), ("left", 5), ("left", 8), ("right", 1)] {
             let mut header = Header { number, ..Header::default() };

@@ -30,7 +30,7 @@ fn read(text: &str) -> Json {
 }
 
 #[test]
-fn every_pipeline_file_here_fits_the_schema() {
+fn every_pipeline_file_of_the_repository_fits_the_schema() {
     let (validator, files) = (validator(), files());
     assert!(files.len() > 20, "{} files", files.len());
     for file in files {
@@ -41,7 +41,7 @@ fn every_pipeline_file_here_fits_the_schema() {
 }
 
 #[test]
-fn the_schema_in_the_documents_is_that_of_the_command() {
+fn the_schema_in_docs_is_the_one_that_the_command_prints() {
     let (path, schema) = (root().join("docs/pipeline.schema.json"), format!("{:#}\n", file_schema(NODES)));
     if std::env::var_os("UPDATE_EXPECT").is_some() {
         std::fs::write(path, schema).unwrap();
@@ -52,7 +52,7 @@ fn the_schema_in_the_documents_is_that_of_the_command() {
 }
 
 #[test]
-fn every_pipeline_file_here_leads_editors_to_the_schema() {
+fn every_pipeline_file_of_the_repository_names_the_schema_for_editors() {
     let schema = root().join("docs/pipeline.schema.json").canonicalize().unwrap();
     for file in files() {
         let text = std::fs::read_to_string(&file).unwrap();
@@ -91,7 +91,7 @@ fn faults_do_not_fit_the_schema() {
 
 /// Editors show the fault at its place, with its name.
 #[test]
-fn faults_are_told_by_name() {
+fn faults_are_reported_with_their_key() {
     let unexpected = |key: &str| format!("Additional properties are not allowed ('{key}' was unexpected)");
     for (place, value, within, told) in [
         ("source/rate", json!(15.0), "source", unexpected("rate")),
@@ -117,7 +117,7 @@ fn faults_are_told_by_name() {
 
 /// The file has a choice between a word and a table here.
 #[test]
-fn faults_within_a_choice_are_told_by_name() {
+fn faults_within_a_choice_are_reported_with_their_key() {
     for (key, value) in [
         ("noise", json!("ideal")),
         ("noise", json!({ "floor_m": 0.001 })),

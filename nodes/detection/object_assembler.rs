@@ -128,7 +128,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_stage_has_a_budget_of_its_own_accord_only_where_it_works_live() {
+    fn only_a_live_stage_has_a_budget_by_default() {
         let deliveries = [Some(Delivery::Latest), Some(Delivery::Lossless), None];
         assert_eq!(deliveries.map(|delivery| budget_ms(None, delivery)), [Some(LIVE_BUDGET_MS), None, None]);
         for said in [0.0, 7.0] {

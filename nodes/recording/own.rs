@@ -106,7 +106,7 @@ mod tests {
     use conicflow_dataflow::BUILT_IN;
 
     #[test]
-    fn messages_come_back() {
+    fn messages_are_read_as_they_were_written() {
         let header = Header { sequence: 7, depth_scale: 0.25, ..Header::default() };
         let written = write(&header, &[1, 2, 3], vec![9; 5]);
         assert_eq!(read(&written).unwrap(), (header, &[1, 2, 3][..]));

@@ -45,7 +45,7 @@ mod tests {
     use std::sync::Arc;
 
     #[test]
-    fn topics_are_told_only_where_all_are() {
+    fn topics_are_returned_only_if_the_summary_names_all_of_them() {
         let channel = |id| Channel {
             id,
             topic: format!("/{id}"),

@@ -124,7 +124,7 @@ mod tests {
     use conicflow_messages::Track;
 
     #[test]
-    fn an_address_that_is_none_is_told_before_the_start() {
+    fn an_invalid_address_is_reported_before_the_start() {
         let fault = |listen: &str, token: Option<&str>| {
             let config = ViewSinkConfig { listen: Some(listen.to_owned()), token: token.map(str::to_owned) };
             ViewSink::<Track>::faults(&config, Path::new("")).first().map(|fault| fault.key)

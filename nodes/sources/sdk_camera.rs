@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn python_is_asked_and_its_answer_is_told() {
+    fn the_check_by_python_returns_its_answer() {
         assert_eq!(told("test \"$*\" = '-m conicflow.cameras realsense --check' && test $SDK = there"), Ok(()));
         let answer = r#"echo '{"what": "no SDK", "hint": "install it"}'; exit 2"#;
         assert_eq!(told(answer), Err(Hinted::new("no SDK", "install it")));
@@ -258,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn faults_are_told() {
+    fn faults_are_reported() {
         fn faults<M: Maker>(config: &Config) -> Vec<String> {
             let faults = SdkCamera::<M>::faults(config, Path::new("/nowhere"));
             faults.into_iter().map(|fault| format!("{}: {}", fault.key, fault.what)).collect()

@@ -399,7 +399,7 @@ mod tests {
     }
 
     #[test]
-    fn steps_end_where_the_recording_begins_and_ends() {
+    fn steps_stop_at_the_beginning_and_the_end_of_the_recording() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("run.mcap");
         record(&path, 0..9);
@@ -417,7 +417,7 @@ mod tests {
     }
 
     #[test]
-    fn what_comes_before_a_place_that_cannot_be_read_is_shown_and_what_comes_behind_it_once_that_can_be_read() {
+    fn frames_before_an_unreadable_place_are_shown_and_those_behind_it_once_it_can_be_read() {
         let folder = tempfile::tempdir().unwrap();
         let (recording, away) = (folder.path().join("run"), folder.path().join("away.mcap"));
         let [first, second] = ["1.mcap", "2.mcap"].map(|name| recording.join(name));

@@ -270,7 +270,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_was_written_is_read_in_both_byte_orders() {
+    fn written_values_are_read_in_both_byte_orders() {
         let mut writer = Writer::new(vec![7; 3]);
         writer.stamped(Stamped { stamp_ns: 5_000_000_006, frame_id: "camera" }).u8(9).f64s(&[1.5]).u32(3).i32(-2);
         writer.bytes(3, [1, 2, 3].into_iter()).text("");
@@ -291,7 +291,7 @@ mod tests {
     }
 
     #[test]
-    fn lengths_that_cannot_be_are_refused() {
+    fn impossible_lengths_are_refused() {
         let told = |message: &[u8]| {
             Reader::new(message).and_then(|mut reader| reader.text().map(str::to_owned)).unwrap_err().to_string()
         };

@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn units_of_either_code() {
+    fn units_are_decoded_from_png_and_rvl() {
         for (format, image) in [
             ("16UC1; compressedDepth", grey()),
             ("16UC1; compressedDepth png", grey()),
@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn metres_come_from_inverse_depths() {
+    fn metres_are_decoded_from_inverse_depths() {
         for (format, image) in [("32FC1; compressedDepth png", grey()), ("32FC1; compressedDepth rvl", rvl_of())] {
             let (size, depths) = depths(&message(format, [2000.0, 1.0], &image)).unwrap();
             let Depths::Metres(metres) = depths else { panic!("{depths:?}") };
@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_none_is_refused() {
+    fn malformed_images_are_refused() {
         let told = |format: &str, image: &[u8]| depths(&message(format, [0.0; 2], image)).unwrap_err().to_string();
         assert!(told("jpeg", &grey()).starts_with("the format is `jpeg`, expected `16UC1` or `32FC1`"));
         assert!(told("16UC1; compressedDepth zip", &grey()).starts_with("the format is `16UC1; compressedDepth zip`"));

@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn depths_of_both_byte_orders_with_padding() {
+    fn depths_are_read_in_both_byte_orders_with_padding() {
         let little = message(2, f32::to_le_bytes, false, FLOAT32);
         let big = message(2, f32::to_be_bytes, true, FLOAT32);
         for message in [little, big] {
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_organised_cloud_is_refused() {
+    fn a_cloud_that_is_not_organised_is_refused() {
         let told = |message: &[u8]| PointCloud::read(message).unwrap_err().to_string();
         let good = message(2, f32::to_le_bytes, false, FLOAT32);
         assert!(told(&message(1, f32::to_le_bytes, false, FLOAT32)).starts_with("the points are in no rows"));

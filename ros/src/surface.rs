@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn what_moves_points_to_where_it_will_be_and_kinds_differ_in_colour() {
+    fn points_of_a_moving_object_lead_ahead_and_kinds_differ_in_colour() {
         let objects = ObjectKind::ALL.map(object);
         let still = read(&surface_points(STAMPED, &objects, Vec::new()));
         let colors: Vec<_> = still.chunks(RINGS * SIDES).map(|points| points[0].1).collect();

@@ -64,7 +64,7 @@ fn make_for_time(folder: &Path, name: &str, [from, until]: [&str; 2]) {
 }
 
 #[test]
-fn only_who_has_the_right_certificate_gets_in_and_who_is_refused_is_told_why_on_both_sides() {
+fn only_a_machine_with_the_right_certificate_connects_and_both_sides_report_why_another_is_refused() {
     const PAST: [&str; 2] = ["20200101000000Z", "20200102000000Z"];
     const FUTURE: [&str; 2] = ["22000101000000Z", "22000102000000Z"];
     let endpoint = tls_loopback();
@@ -118,7 +118,7 @@ fn only_who_has_the_right_certificate_gets_in_and_who_is_refused_is_told_why_on_
 
 /// What is wrong with the certificate of who listens, the others find out.
 #[test]
-fn who_listens_with_a_certificate_out_of_its_time_is_refused_and_both_are_told() {
+fn a_listening_machine_with_an_expired_certificate_is_refused_and_both_sides_report_it() {
     let endpoint = tls_loopback();
     let [robot, base] = live(&endpoint);
     let folder = robot.path("tls");
@@ -134,7 +134,7 @@ fn who_listens_with_a_certificate_out_of_its_time_is_refused_and_both_are_told()
 }
 
 #[test]
-fn what_is_wrong_with_a_certificate_of_ones_own_is_told_before_and_stops_no_run() {
+fn faults_of_the_machines_own_certificate_are_reported_before_the_run_and_do_not_stop_it() {
     let text = live_text(&tls_loopback());
     let robot = Playground::with_pipeline(&text);
     let folder = robot.path("tls");
@@ -221,7 +221,7 @@ impl Guest {
 }
 
 #[test]
-fn who_is_not_on_the_list_can_neither_read_nor_write() {
+fn a_machine_outside_the_access_list_can_neither_read_nor_write() {
     const EXAMPLE: &str = include_str!("../../examples/tls/access_control.json5");
     let endpoint = tls_loopback();
     let [robot, base] = live(&endpoint);

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 #[test]
-fn the_graph_of_the_default_pipeline() {
+fn the_default_pipeline_is_printed_as_a_graph() {
     let expected = r#"flowchart LR
   source["source<br/>synthetic_source"]
   extractor["extractor<br/>row_ellipse_extractor"]
@@ -24,7 +24,7 @@ fn the_graph_of_the_default_pipeline() {
 }
 
 #[test]
-fn a_graph_with_machines_further_inputs_and_programs() {
+fn a_graph_shows_machines_further_inputs_and_programs() {
     let playground = Playground::with_pipeline(
         r#"
 name = "two"
@@ -88,7 +88,7 @@ fn each_node_shows_its_parameters_with_default_and_description() {
 }
 
 #[test]
-fn the_parameters_of_a_node_in_full() {
+fn the_parameters_of_a_node_are_described_in_full() {
     let expected = r#"console_sink: Shows ellipses, objects or tracks as text on standard output
 
 input   tracks | objects | ellipses
@@ -109,7 +109,7 @@ period_s = 0.0   (0.0 to 3600.0)
 }
 
 #[test]
-fn nodes_that_do_not_exist_are_told_with_a_suggestion() {
+fn unknown_nodes_are_refused_with_a_suggestion() {
     let playground = Playground::new();
     let ended = playground.conicflow(&["nodes", "kalman_traker"]).expect_code(2);
     let expected = "error: there is no node `kalman_traker`\n  hint: did you mean `kalman_tracker`?\n";
@@ -150,7 +150,7 @@ fn wrong_arguments_are_refused() {
 /// What was begun and could not be printed, since the disk is full, is no fault of the arguments; that nobody reads on is
 /// no fault at all.
 #[test]
-fn output_that_goes_nowhere() {
+fn a_closed_or_full_output_ends_a_command() {
     let playground = Playground::new();
     for arguments in
         [&["graph"][..], &["nodes"], &["nodes", "follower"], &["validate"], &["doctor"], &["top", "--once"]]

@@ -35,7 +35,7 @@ fn sum(compared: &Json, column: &str) -> u64 {
 }
 
 #[test]
-fn the_same_variant_under_another_name_is_the_same_to_the_bit() {
+fn the_same_variant_under_another_name_is_identical_bit_for_bit() {
     let playground = Playground::with_pipeline(&simulated());
     let compared = compared(&playground, &["--b", "extractor.scan=both"]);
     assert_eq!((compared["frames"].as_u64(), compared["same_frames"].as_u64()), (Some(8), Some(8)));
@@ -47,7 +47,7 @@ fn the_same_variant_under_another_name_is_the_same_to_the_bit() {
 }
 
 #[test]
-fn the_paper_s_way_differs_and_both_are_scored_as_an_evaluation_sink_scores_them() {
+fn the_papers_method_differs_and_both_are_scored_as_by_an_evaluation_sink() {
     let playground = Playground::with_pipeline(&simulated());
     let compared = compared(&playground, &[&["--a"], &PAPER[..], &["--b", "extractor.scan=rows"]].concat());
     assert_eq!(compared["same_frames"], 0);
@@ -131,7 +131,7 @@ fn both_recordings_are_shown_together_and_matched_as_they_were_compared() {
 }
 
 #[test]
-fn tracks_are_compared_where_they_are_asked_for() {
+fn tracks_are_compared_on_request() {
     let playground = Playground::with_pipeline(&simulated());
     let compared = compared(&playground, &["--topic", "tracks", "--b", "tracker.acceleration=9.0"]);
     assert_eq!(compared["topic"], "tracks");
@@ -139,7 +139,7 @@ fn tracks_are_compared_where_they_are_asked_for() {
 }
 
 #[test]
-fn what_is_wrong_is_told_with_the_variant_that_it_is_wrong_in() {
+fn errors_name_the_variant_that_they_are_in() {
     let playground = Playground::with_pipeline(&simulated());
     let told = |arguments: &[&str], code: i32| {
         let ended = playground.conicflow(&[&["compare"], arguments].concat()).expect_code(code);
@@ -164,7 +164,7 @@ fn what_is_wrong_is_told_with_the_variant_that_it_is_wrong_in() {
 }
 
 #[test]
-fn who_ends_it_early_is_told_that_there_is_nothing_to_compare() {
+fn a_comparison_that_is_interrupted_early_reports_that_there_is_nothing_to_compare() {
     let playground = Playground::with_pipeline(&simulated());
     let paced = ["--set", "source.rate_hz=20", "--set", "source.frames=100000"];
     let mut compare = playground.start(&[&["compare", "--b", "extractor.scan=rows"][..], &paced].concat());

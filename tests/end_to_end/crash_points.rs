@@ -199,7 +199,7 @@ fn kill_at_points(who: &str, mut run: impl FnMut(Option<usize>) -> Option<usize>
 }
 
 #[test]
-fn a_process_may_be_killed_before_any_call_by_which_it_shares_something() {
+fn a_process_may_be_killed_before_any_call_that_changes_a_shared_resource() {
     let playground = Playground::with_pipeline(FINDING);
     let prefix = prefix(&playground);
     let before = files(&playground, &prefix);
@@ -224,7 +224,7 @@ fn a_process_may_be_killed_before_any_call_by_which_it_shares_something() {
 }
 
 #[test]
-fn a_bridge_may_be_killed_before_any_call_by_which_it_shares_something() {
+fn a_bridge_may_be_killed_before_any_call_that_changes_a_shared_resource() {
     let endpoint = loopback();
     let [robot, base] = machines(&finding_apart(&endpoint));
     for (machines, names) in [([&robot, &base], ["robot", "base"]), ([&base, &robot], ["base", "robot"])] {

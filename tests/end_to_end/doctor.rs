@@ -42,7 +42,7 @@ fn working(memory: &OwnSharedMemory, playground: &Playground) -> Started {
 }
 
 #[test]
-fn a_machine_with_which_nothing_is_wrong_is_left_as_it_was() {
+fn doctor_changes_nothing_on_a_machine_without_faults() {
     let Some(memory) = OwnSharedMemory::new("64m") else { return };
     let playground = tracking();
     let ended = memory.conicflow(&playground, &["doctor"]).expect_code(0);
@@ -52,7 +52,7 @@ fn a_machine_with_which_nothing_is_wrong_is_left_as_it_was() {
 }
 
 #[test]
-fn what_a_killed_run_has_left_is_found_and_removed() {
+fn the_remains_of_a_killed_run_are_found_and_removed() {
     let Some(memory) = OwnSharedMemory::new("64m") else { return };
     let playground = tracking();
     kill_all(working(&memory, &playground));
@@ -68,7 +68,7 @@ fn what_a_killed_run_has_left_is_found_and_removed() {
 }
 
 #[test]
-fn what_no_run_would_find_any_more_is_removed_and_what_lives_is_not() {
+fn remains_that_no_run_would_find_are_removed_and_files_of_live_runs_are_not() {
     let Some(memory) = OwnSharedMemory::new("64m") else { return };
     let (dead, living) = (tracking(), tracking());
     kill_all(working(&memory, &dead));
@@ -97,7 +97,7 @@ fn what_no_run_would_find_any_more_is_removed_and_what_lives_is_not() {
 }
 
 #[test]
-fn a_run_finds_its_way_when_doctor_was_there_before_it() {
+fn a_run_works_after_doctor() {
     let Some(memory) = OwnSharedMemory::new("64m") else { return };
     let (playground, other) = (tracking(), tracking());
     kill_all(working(&memory, &playground));
@@ -154,7 +154,7 @@ fn a_run_that_would_need_more_open_files_than_it_may_have_does_not_begin() {
 }
 
 #[test]
-fn a_port_that_is_taken_is_told_with_the_machine_that_needs_it() {
+fn a_port_that_is_taken_is_reported_with_the_machine_that_needs_it() {
     let endpoint = loopback();
     let holder = TcpListener::bind(&endpoint["tcp/".len()..]).unwrap();
     let playground = Playground::with_pipeline(&apart(&endpoint, &endpoint));
@@ -169,7 +169,7 @@ fn a_port_that_is_taken_is_told_with_the_machine_that_needs_it() {
 }
 
 #[test]
-fn a_runtime_folder_that_cannot_be_used_is_told_by_doctor_and_run_alike() {
+fn an_unusable_runtime_folder_is_reported_by_doctor_and_by_run() {
     let playground = Playground::with_pipeline(TRACKING);
     let (file, open) = (playground.path("file"), playground.path("open"));
     let long = playground.path(&"long".repeat(20));
@@ -193,7 +193,7 @@ fn a_runtime_folder_that_cannot_be_used_is_told_by_doctor_and_run_alike() {
 }
 
 #[test]
-fn a_folder_in_which_another_user_may_not_write_is_told() {
+fn a_runtime_folder_without_write_permission_is_reported() {
     let playground = Playground::with_pipeline(TRACKING);
     for arguments in [["doctor"], ["run"]] {
         let inner = playground.command(&arguments);
@@ -213,7 +213,7 @@ fn a_folder_in_which_another_user_may_not_write_is_told() {
 }
 
 #[test]
-fn what_another_user_has_left_is_in_nobodys_way_and_stays() {
+fn the_remains_of_another_user_disturb_no_run_and_are_kept() {
     let Some(memory) = OwnSharedMemory::new("64m") else { return };
     let (playground, theirs) = (tracking(), tracking());
     // Their user has to reach the program and the file as well.
@@ -254,7 +254,7 @@ fn what_another_user_has_left_is_in_nobodys_way_and_stays() {
 }
 
 #[test]
-fn a_stage_without_its_launcher_is_told() {
+fn a_stage_without_its_launcher_is_reported() {
     let playground = Playground::with_pipeline(TRACKING);
     // Whoever is not started by the launcher that its environment names has lost it.
     let mut command = Command::new("sleep");

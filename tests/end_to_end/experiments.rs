@@ -197,7 +197,7 @@ fn lying_pipes_need_columns() {
 }
 
 #[test]
-fn a_ball_is_told_from_the_can_below_it() {
+fn a_ball_is_distinguished_from_the_can_below_it() {
     let table = Table::of("ball_on_cylinder", &[], 8);
     for (object, radius) in [("ball", 0.12), ("can", 0.15)] {
         let cell = |method, column| table.number(&[("method", method), ("object", object)], column);
@@ -258,7 +258,7 @@ fn a_wrong_experiment_is_refused() {
 }
 
 #[test]
-fn results_that_cannot_be_written_are_told_before_anything_is_measured() {
+fn results_that_cannot_be_written_are_reported_before_anything_is_measured() {
     let playground = playground("accuracy", &[]);
     fs::write(playground.path("results"), "no folder").unwrap();
     let ended = playground.conicflow(&["run", "accuracy.toml"]).expect_code(2);
@@ -268,7 +268,7 @@ fn results_that_cannot_be_written_are_told_before_anything_is_measured() {
 
 /// To start the evaluation anew would not help.
 #[test]
-fn a_run_of_frames_whose_truth_nobody_told_ends_at_the_first_of_them() {
+fn a_run_ends_at_the_first_frame_without_a_truth() {
     let playground = playground("recording", &[]);
     playground.record_with_camera(Scene::built_in("tabletop").unwrap().unwrap(), 5, 3);
     let ended = playground.conicflow(&["run", "recording.toml", "--set", "source.path=frames"]).expect_code(1);
@@ -312,7 +312,7 @@ fn crossing_balls_keep_their_identities() {
 }
 
 #[test]
-fn a_bouncing_ball_is_one_ball_near_its_true_way() {
+fn a_bouncing_ball_is_one_track_near_its_true_path() {
     let table = Table::of("bouncing_ball", &[], 110);
     let cell = |column| table.number(&[("stage", "filtered")], column);
     assert_eq!((cell("identities"), cell("switches")), (1.0, 0.0));
@@ -330,7 +330,7 @@ fn record(playground: &Playground, scene: &str, frames: u64) {
 
 /// What fails at the end is told once: the stage is not started anew, where it could only miss what it had seen.
 #[test]
-fn a_recording_that_is_too_short_for_the_noise_is_told_once() {
+fn a_recording_that_is_too_short_to_measure_the_noise_is_reported_once() {
     let playground = playground("noise", &[]);
     record(&playground, "scenes/basic.toml", 3);
     let ended = playground.conicflow(&["run", "noise.toml", "--set", "source.path=frames"]).expect_code(1);
@@ -367,7 +367,7 @@ fn an_experiment_takes_recorded_frames() {
 
 /// Of recorded frames, too, the summary counts what was missed and what was wrong, and the details tell it.
 #[test]
-fn what_is_wrong_about_recorded_frames_is_counted_and_told() {
+fn faults_of_recorded_frames_are_counted_and_reported() {
     let playground = playground("recording", &[]);
     record(&playground, "scenes/basic.toml", 2);
     let balloon = r#"{"type": "sphere", "what": "balloon", "radius_m": 0.1, "centre_m": [0, -0.5, 1]}"#;

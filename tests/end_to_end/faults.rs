@@ -61,7 +61,7 @@ fn wait_for_frame(run: &mut Started, playground: &Playground, frame: u64) {
 }
 
 #[test]
-fn a_panic_is_told_with_its_frame_and_the_next_one_is_worked_on() {
+fn a_panic_is_reported_with_its_frame_and_the_next_frame_is_processed() {
     let playground = with_faulty_stage("panic_at = 20");
     let mut run = start(&playground);
     wait_for_frame(&mut run, &playground, 40);
@@ -72,7 +72,7 @@ fn a_panic_is_told_with_its_frame_and_the_next_one_is_worked_on() {
 
 /// What was left out does not come again when the stage dies of what follows.
 #[test]
-fn each_of_two_frames_in_a_row_that_a_stage_dies_of_is_left_out_once() {
+fn each_of_two_successive_frames_that_kill_a_stage_is_left_out_once() {
     let playground = with_faulty_stage("panic_at = 20\npanics_more = 1");
     let mut run = start(&playground);
     wait_for_frame(&mut run, &playground, 40);
@@ -80,7 +80,7 @@ fn each_of_two_frames_in_a_row_that_a_stage_dies_of_is_left_out_once() {
 }
 
 #[test]
-fn a_stage_that_hangs_is_killed_and_started_anew_where_the_file_says_so() {
+fn a_stage_that_hangs_is_killed_and_restarted_if_the_file_says_so() {
     let playground = with_faulty_stage("hang_at = 20\nrestart = { when = \"on_failure\", hang_s = 3 }");
     let mut run = start(&playground);
     wait_for_frame(&mut run, &playground, 40);
@@ -90,7 +90,7 @@ fn a_stage_that_hangs_is_killed_and_started_anew_where_the_file_says_so() {
 }
 
 #[test]
-fn a_stage_that_stands_still_is_told_of_and_goes_on() {
+fn a_stage_that_is_stopped_is_reported_and_goes_on() {
     let (playground, mut run) = at_work(TRACKING, 50);
     let tracker = stages_of(run.id())["tracker"];
     signal(tracker, Signal::STOP);
@@ -112,7 +112,7 @@ fn a_stage_that_stands_still_is_told_of_and_goes_on() {
 }
 
 #[test]
-fn nonsense_in_shared_memory_is_counted_and_left_out() {
+fn malformed_messages_in_shared_memory_are_counted_and_left_out() {
     let playground = with_faulty_stage("nonsense_at = 20");
     let mut run = start(&playground);
     wait_for_frame(&mut run, &playground, 40);
@@ -132,7 +132,7 @@ fn nonsense_in_shared_memory_is_counted_and_left_out() {
 }
 
 #[test]
-fn nonsense_does_not_leave_its_machine_and_is_counted_at_the_edge() {
+fn malformed_messages_do_not_leave_their_machine_and_are_counted_at_the_edge() {
     let places = [
         ("source", "robot"),
         ("extractor", "robot"),
@@ -164,7 +164,7 @@ fn nonsense_does_not_leave_its_machine_and_is_counted_at_the_edge() {
 }
 
 #[test]
-fn a_run_whose_shared_memory_somebody_removes_ends_in_order_and_says_so() {
+fn a_run_whose_shared_memory_is_removed_ends_in_order_and_reports_it() {
     let playground = Playground::with_pipeline(TRACKING);
     let mut run = playground.start(&["run", "--set", "source.rate_hz=100"]);
     wait_for_lines(&mut run, &playground);
@@ -179,7 +179,7 @@ fn a_run_whose_shared_memory_somebody_removes_ends_in_order_and_says_so() {
 }
 
 #[test]
-fn a_run_whose_folder_somebody_removes_ends_in_order_and_says_so_also_where_a_stage_dies_then() {
+fn a_run_whose_folder_is_removed_ends_in_order_and_reports_it_even_if_a_stage_dies_then() {
     for dies in [false, true] {
         let playground = Playground::with_pipeline(TRACKING);
         let mut run = playground.start(&["run", "--set", "source.rate_hz=100"]);
@@ -215,7 +215,7 @@ fn background(playground: &Playground) -> usize {
 }
 
 #[test]
-fn what_a_program_has_started_ends_with_it_however_that_and_the_run_end() {
+fn children_of_a_program_end_with_it_however_the_program_and_the_run_end() {
     let playground = with_program(&in_a_shell("sleep 1000 & sleep 1000 & exec", ""), "");
     let mut run = start(&playground);
     wait_for_frame(&mut run, &playground, 20);
@@ -249,7 +249,7 @@ fn a_program_that_never_joins_is_waited_for_no_longer_than_the_file_says_when_th
 }
 
 #[test]
-fn a_stage_finds_its_run_whatever_its_own_variables_say_of_a_folder_for_it() {
+fn a_stage_finds_its_run_whatever_runtime_folder_its_own_variables_name() {
     let elsewhere = "env = { XDG_RUNTIME_DIR = \"/nowhere\" }\n[stage.tracker]";
     let playground = Playground::with_pipeline(&TRACKING.replace("[stage.tracker]", elsewhere));
     let mut command = playground.command(&["run", "--frames", "5"]);
@@ -259,7 +259,7 @@ fn a_stage_finds_its_run_whatever_its_own_variables_say_of_a_folder_for_it() {
 }
 
 #[test]
-fn a_run_that_is_stopped_as_by_ctrl_z_stands_still_as_a_whole_and_goes_on_as_a_whole() {
+fn a_run_that_is_stopped_by_ctrl_z_stops_and_goes_on_as_a_whole() {
     let (playground, mut run) = at_work(TRACKING, 50);
     let all: Vec<_> = stages_of(run.id()).into_values().chain([run.id()]).collect();
     let are_stopped = |expected: bool| all.iter().all(|process| is_stopped(*process) == expected);
@@ -305,7 +305,7 @@ fn is_sleep(process: u32) -> bool {
 }
 
 #[test]
-fn a_program_that_loads_for_long_is_named_and_loses_nothing() {
+fn a_program_that_takes_long_to_start_is_named_and_loses_nothing() {
     let playground = with_program(&in_a_shell("sleep 3; exec", ""), "");
     let mut run = start(&playground);
     run.wait_for_text("the run ends if it has not 120 s after its start");
@@ -317,7 +317,7 @@ fn a_program_that_loads_for_long_is_named_and_loses_nothing() {
 
 /// `uv run` does so, too.
 #[test]
-fn a_program_that_another_one_starts_is_refused_with_what_to_do() {
+fn a_program_started_by_another_than_the_launcher_is_refused_with_a_hint() {
     let playground = with_program(&in_a_shell("", "; exit $?"), "");
     let ended = start(&playground).wait().expect_code(1);
     let told = "error: stage `faulty` was not started by its launcher itself, which would not hear of its end\n  \

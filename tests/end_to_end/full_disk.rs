@@ -22,7 +22,7 @@ fn expect_failed_for_good(ended: Ended, stage: &str, why: &str) -> Ended {
 }
 
 #[test]
-fn lines_that_find_no_room_end_the_run() {
+fn lines_that_do_not_fit_on_the_disk_end_the_run() {
     let playground = Playground::with_pipeline(TRACKING);
     let ended = playground.conicflow(&["run", "--for", "10min", "--set", "json.path=/dev/full"]);
     let ended = expect_failed_for_good(ended, "json", "cannot write to `/dev/full`: No space left on device");
@@ -56,7 +56,7 @@ fn with_a_small_disk(size: &str, playground: &Playground, arguments: &[&str]) ->
 }
 
 #[test]
-fn a_disk_that_is_full_holds_whole_lines() {
+fn a_full_disk_holds_only_whole_lines() {
     let playground = Playground::with_pipeline(TRACKING);
     let arguments = ["run", "--for", "10min", "--set", "json.path=disk/tracks.jsonl"];
     let Some(ended) = with_a_small_disk("64k", &playground, &arguments) else { return };
@@ -72,7 +72,7 @@ fn names(playground: &Playground) -> Vec<String> {
 }
 
 #[test]
-fn pictures_that_find_no_room_end_the_run_and_those_that_are_there_are_whole() {
+fn pictures_that_do_not_fit_on_the_disk_end_the_run_and_earlier_ones_are_whole() {
     let sink = r#"
 [stage]
 pictures = { node = "picture_sink", input = { topic = "tracks", delivery = "lossless" }, inputs = { depth = "depth" }, path = "disk" }
@@ -89,7 +89,7 @@ pictures = { node = "picture_sink", input = { topic = "tracks", delivery = "loss
 }
 
 #[test]
-fn a_recording_that_finds_no_room_ends_the_run_and_holds_what_was_written_before() {
+fn a_recording_that_does_not_fit_on_the_disk_ends_the_run_and_keeps_earlier_messages() {
     let sink = r#"
 [stage]
 recorder = { node = "mcap_sink", input = { topic = "tracks", delivery = "lossless" }, inputs = { depth = "depth" }, path = "disk/run.mcap" }
@@ -102,7 +102,7 @@ recorder = { node = "mcap_sink", input = { topic = "tracks", delivery = "lossles
 }
 
 #[test]
-fn an_onlooker_whose_recording_finds_no_room_says_so_and_the_run_goes_on() {
+fn the_record_command_reports_a_full_disk_and_the_run_goes_on() {
     let (playground, mut run) = at_work(TRACKING, 60);
     let arguments = ["record", "-o", "disk/run.mcap"];
     let Some(recorded) = with_a_small_disk("1m", &playground, &arguments) else { return };
@@ -139,7 +139,7 @@ fn expect_told_once(ended: Ended, why: &str, hint: &str) {
 }
 
 #[test]
-fn what_detect_finds_no_room_for_is_told_and_nothing_half_written_is_left() {
+fn detect_reports_a_full_disk_and_leaves_no_incomplete_file() {
     let playground = Playground::new();
     playground.record(Scene::built_in("tabletop").unwrap().unwrap(), 1, 4);
     let found = playground.conicflow(&["detect", "frames", "--camera", CAMERA]).expect_code(0).stdout;
@@ -166,7 +166,7 @@ fn what_detect_finds_no_room_for_is_told_and_nothing_half_written_is_left() {
 }
 
 #[test]
-fn a_comparison_that_finds_no_room_for_its_pictures_says_so() {
+fn a_comparison_reports_that_its_pictures_do_not_fit_on_the_disk() {
     let playground = Playground::with_pipeline(TRACKING);
     let compare = ["compare", "--frames", "3", "--b", "extractor.scan=rows", "--pictures", "disk"];
     let Some(ended) = with_a_small_disk("12k", &playground, &compare) else { return };
@@ -189,7 +189,7 @@ fn a_recording_of_which_no_frame_can_be_read_ends_the_run_at_once() {
 }
 
 #[test]
-fn text_from_outside_reaches_a_terminal_written_out_and_short() {
+fn text_from_files_is_escaped_and_shortened_for_a_terminal() {
     let playground = Playground::new();
     fs::create_dir_all(playground.path("frames/depth")).unwrap();
     let long = "x".repeat(20_000_000);

@@ -21,7 +21,7 @@ fn fill(memory: &OwnSharedMemory) {
 }
 
 #[test]
-fn a_run_at_work_goes_on_where_others_fill_shared_memory() {
+fn a_run_goes_on_when_other_programs_fill_shared_memory() {
     let Some(memory) = OwnSharedMemory::new("32m") else { return };
     let playground = Playground::outside_shared_memory().and_pipeline(&pipeline("latest"));
     let mut run = memory.start(&playground, &["run"]);

@@ -70,7 +70,7 @@ fn a_machine_of_another_version_is_refused_by_name_and_numbers() {
 }
 
 #[test]
-fn a_machine_with_another_pipeline_file_is_told_what_differs() {
+fn the_report_of_another_pipeline_file_says_what_differs() {
     let endpoint = loopback();
     let [robot, base] = live(&endpoint);
     let mut base_run = start(&base, "base");
@@ -119,7 +119,7 @@ const NUMBER: std::ops::Range<usize> = 54..62;
 const OLDEST: std::ops::Range<usize> = 62..70;
 
 #[test]
-fn what_is_forged_by_who_has_no_key_passes_nowhere_and_is_told() {
+fn messages_forged_without_the_key_pass_nowhere_and_are_reported() {
     let ([_robot, base], session, mut runs) = both_listening();
     let true_ones = recorded(&session, 3);
     let mut forged = Vec::new();
@@ -156,7 +156,7 @@ fn what_is_forged_by_who_has_no_key_passes_nowhere_and_is_told() {
 }
 
 #[test]
-fn what_was_sent_before_a_bridge_was_started_anew_does_not_pass_again() {
+fn messages_sent_before_a_bridge_was_restarted_are_refused_when_replayed() {
     let ([robot, base], session, mut runs) = both_listening();
     let old = recorded(&session, 5);
     kill(&robot, "bridge");
@@ -178,7 +178,7 @@ fn what_was_sent_before_a_bridge_was_started_anew_does_not_pass_again() {
 /// Without a key whoever connects can send under the name of a machine. What its bridge cannot have sent is left out, and what
 /// was on its way comes through all the same, each message once.
 #[test]
-fn what_is_forged_where_all_is_believed_takes_nothing_from_a_lossless_edge() {
+fn without_a_key_forged_messages_displace_none_of_a_lossless_edge() {
     let ends = [loopback(), loopback()];
     let text = apart(&ends[0], &ends[0]).replace("rate_hz    = 0", &format!("rate_hz = {}", bridge::LIVE_RATE_HZ));
     let text =
@@ -245,7 +245,7 @@ fn with_key(text: &str) -> String {
 }
 
 #[test]
-fn machines_with_different_keys_tell_so_and_with_the_same_key_they_meet() {
+fn machines_with_different_keys_report_it_and_machines_with_the_same_key_connect() {
     let endpoint = loopback();
     let [robot, base] = machines(&with_key(&bridge::live(&apart(&endpoint, &endpoint))));
     for machine in [&robot, &base] {

@@ -81,7 +81,7 @@ fn value(samples: &Samples, name: &str, labels: &[(&str, &str)]) -> f64 {
 }
 
 #[test]
-fn they_are_those_of_top_as_an_independent_parser_reads_them() {
+fn metrics_equal_the_counts_of_top_by_an_independent_parser() {
     let playground = Playground::new();
     let (run, host) = run(&playground);
     let before = get(&host);
@@ -134,7 +134,7 @@ fn they_are_those_of_top_as_an_independent_parser_reads_them() {
 
 /// What the dashboard asks Prometheus for is told, and of all that is told it shows the most.
 #[test]
-fn the_dashboard_asks_for_what_there_is() {
+fn the_dashboard_queries_only_existing_metrics() {
     let playground = Playground::new();
     let (_run, host) = run(&playground);
     let text = get(&host).text();
@@ -161,7 +161,7 @@ fn the_dashboard_asks_for_what_there_is() {
 }
 
 #[test]
-fn nobody_who_asks_slowly_or_wrongly_holds_up_the_run() {
+fn slow_and_malformed_requests_do_not_delay_the_run() {
     let playground = Playground::new();
     let (mut run, host) = run(&playground);
     // Some begin a request and leave it at that, others read no answer.
@@ -194,7 +194,7 @@ fn nobody_who_asks_slowly_or_wrongly_holds_up_the_run() {
 }
 
 #[test]
-fn an_address_that_is_taken_is_told_by_doctor_and_before_anything_starts() {
+fn an_address_that_is_taken_is_reported_by_doctor_and_before_anything_starts() {
     let playground = Playground::new();
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let address = taken.local_addr().unwrap();
@@ -208,7 +208,7 @@ fn an_address_that_is_taken_is_told_by_doctor_and_before_anything_starts() {
 }
 
 #[test]
-fn a_token_keeps_others_out_and_without_one_the_network_is_warned_of() {
+fn a_token_is_required_and_a_warning_is_given_without_one() {
     const TOKEN: &str = "a-secret-of-ours";
     let with = |metrics: &str| TRACKING.replacen("[stage", &format!("metrics = {metrics}\n[stage"), 1);
     let playground = Playground::with_pipeline(&with(&format!("{{ listen = \"0.0.0.0:0\", token = \"{TOKEN}\" }}")));
@@ -238,7 +238,7 @@ fn a_token_keeps_others_out_and_without_one_the_network_is_warned_of() {
 }
 
 #[test]
-fn each_machine_offers_its_own_where_its_table_says() {
+fn each_machine_serves_its_metrics_at_the_address_of_its_table() {
     let endpoint = loopback();
     let text = apart(&endpoint, &endpoint).replacen("[stage", "metrics = \"127.0.0.1:0\"\n[stage", 1);
     let told = loopback()["tcp/".len()..].to_owned();

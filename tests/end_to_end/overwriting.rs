@@ -165,7 +165,7 @@ fn detect_writes_over_nothing_that_it_reads() {
 
 /// Also a second time, over what was written the first.
 #[test]
-fn what_is_not_read_may_be_written_beside_the_frames() {
+fn files_that_no_stage_reads_may_be_written_beside_the_frames() {
     let playground = frames();
     let frames = contents(&playground.path("frames"));
     let nowhere = "path = \"/dev/null\"\n";

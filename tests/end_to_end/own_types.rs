@@ -83,7 +83,7 @@ fn expect_same(some: &[Told], others: &[Told]) {
 }
 
 #[test]
-fn a_type_of_ones_own_is_checked_carried_and_written_with_its_fields() {
+fn an_item_type_of_the_user_is_checked_carried_and_written_with_its_fields() {
     let playground = Playground::with_pipeline(&with_grasps(FIELDS));
     playground.conicflow(&["validate"]).expect_code(0);
     playground.conicflow(&["run", "--frames", "20"]).expect_code(0);
@@ -98,7 +98,7 @@ fn a_type_of_ones_own_is_checked_carried_and_written_with_its_fields() {
 }
 
 #[test]
-fn who_looks_on_sees_it_as_well() {
+fn the_topic_command_shows_an_item_type_of_the_user() {
     let playground = Playground::with_pipeline(&with_grasps(FIELDS));
     let mut run = playground.start(&["run", "--set", "source.rate_hz=50"]);
     run.wait_until("it delivers", || !playground.lines("grasps.jsonl").is_empty());
@@ -116,7 +116,7 @@ fn who_looks_on_sees_it_as_well() {
 }
 
 #[test]
-fn it_crosses_to_another_machine_bit_for_bit() {
+fn an_item_type_of_the_user_crosses_to_another_machine_bit_for_bit() {
     let alone = Playground::with_pipeline(&with_grasps(FIELDS));
     alone.conicflow(&["run", "--frames", "100"]).expect_code(0);
     let expected = without_times(&alone, "grasps.jsonl");

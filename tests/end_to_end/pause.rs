@@ -104,7 +104,7 @@ fn pause_goes_on(playground: &Playground, seconds: u64) {
 }
 
 #[test]
-fn keys_pause_a_run_and_step_it_and_a_pause_is_no_standstill() {
+fn keys_pause_and_step_a_run_and_a_pause_does_not_count_as_hanging() {
     let playground = Playground::with_pipeline(
         &TRACKING.replace("rate_hz    = 0", "rate_hz    = 40\nrestart    = { when = \"on_failure\", hang_s = 3 }"),
     );
@@ -132,7 +132,7 @@ fn keys_pause_a_run_and_step_it_and_a_pause_is_no_standstill() {
 }
 
 #[test]
-fn a_paused_run_ends_in_order_and_its_time_stands_still() {
+fn a_paused_run_ends_in_order_and_its_clock_stops() {
     let playground = Playground::with_pipeline(TRACKING);
     let Some(mut terminal) = Terminal::open("sh") else { return };
     let program = [PROGRAM, "run", "--set", "source.rate_hz=40", "--for", "10s"];
@@ -228,7 +228,7 @@ fn the_page_pauses_a_replay_steps_it_and_lets_it_go_on() {
 }
 
 #[test]
-fn a_step_is_shown_to_who_did_not_look_for_a_while() {
+fn a_step_is_shown_to_a_browser_that_did_not_ask_for_a_while() {
     let playground = Playground::with_pipeline(&TRACKING.replace("rate_hz    = 0", "rate_hz    = 20"));
     let _run = playground.start(&["run"]);
     let page = Page::open(&playground, &[]);
@@ -332,7 +332,7 @@ fn a_camera_is_emptied_while_the_rest_of_the_run_is_paused() {
 }
 
 #[test]
-fn a_run_of_cameras_alone_goes_on_and_that_is_said() {
+fn a_run_of_live_cameras_cannot_be_paused_and_reports_it() {
     let sink = "[stage.shown]\nnode = \"view_sink\"\ninput = \"camera_depth\"\nlisten = \"127.0.0.1:0\"\n";
     let playground = Playground::with_pipeline(&format!("name = \"live\"\n{}{sink}", Camera::stage()));
     let Some(mut terminal) = Terminal::open("sh") else { return };

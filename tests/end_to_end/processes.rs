@@ -58,7 +58,7 @@ fn expect_nothing_lives(playground: &Playground) {
 }
 
 #[test]
-fn each_stage_is_a_process_whose_parent_is_the_launcher_and_who_looks_on_sees_it_at_work() {
+fn each_stage_is_a_process_whose_parent_is_the_launcher_and_top_shows_it_at_work() {
     let (playground, run) = at_work(TRACKING, 50);
     let seen = playground.top();
     assert_eq!(seen["pipeline"], "tracking", "{seen:#}");
@@ -100,7 +100,7 @@ fn top_and_the_summary_count_what_the_file_of_results_has() {
 }
 
 #[test]
-fn a_reader_that_never_reads_keeps_no_run_from_ending() {
+fn a_reader_that_never_reads_does_not_keep_a_run_from_ending() {
     let (playground, mut run) = at_work(TRACKING, 50);
     let reader = stages_of(run.id())["tracker"];
     signal(reader, Signal::STOP);
@@ -153,12 +153,12 @@ fn kill_each_stage(delivery: &str) {
 }
 
 #[test]
-fn the_death_of_any_stage_is_survived_where_the_newest_is_wanted() {
+fn the_run_survives_the_death_of_any_stage_with_latest() {
     kill_each_stage("latest");
 }
 
 #[test]
-fn the_death_of_any_stage_is_survived_where_writers_wait() {
+fn the_run_survives_the_death_of_any_stage_on_lossless_topics() {
     kill_each_stage("lossless");
 }
 
@@ -185,7 +185,7 @@ fn interrupt_and_terminate_end_a_run_in_order() {
 }
 
 #[test]
-fn who_insists_ends_stages_that_do_not_listen() {
+fn a_second_interrupt_ends_stages_that_ignore_the_first() {
     let deaf = r#"
 [stage]
 deaf = { program = ["sh", "-c", "trap '' INT TERM; exec sleep 600"], input = "tracks" }
@@ -204,7 +204,7 @@ deaf = { program = ["sh", "-c", "trap '' INT TERM; exec sleep 600"], input = "tr
 }
 
 #[test]
-fn a_run_whose_log_nobody_reads_any_more_goes_on() {
+fn a_run_goes_on_when_the_reader_of_its_log_has_gone() {
     let playground = Playground::with_pipeline(TRACKING);
     let mut command = playground.command(&["run", "--frames", "30", "--set", "tracker.node=no_such_node"]);
     assert_eq!(command.stderr(Stdio::piped()).spawn().map(read_nothing).unwrap(), Some(2));
@@ -280,7 +280,7 @@ fn a_run_ends_by_itself_though_one_of_two_cameras_died_for_good() {
 }
 
 #[test]
-fn a_stage_whose_program_is_away_comes_back_with_it_and_the_others_go_on() {
+fn a_stage_whose_program_is_missing_returns_with_it_and_the_others_go_on() {
     let other = "\n[stage.other]\nnode = \"json_sink\"\ninput = \"tracks\"\npath = \"other.jsonl\"\n";
     let playground = Playground::with_pipeline(&format!("{TRACKING}{other}"));
     let (program, away) = (playground.path("conicflow"), playground.path("away"));
@@ -303,7 +303,7 @@ fn a_stage_whose_program_is_away_comes_back_with_it_and_the_others_go_on() {
 }
 
 #[test]
-fn a_stage_that_is_always_restarted_comes_back_though_it_ended_well() {
+fn a_stage_that_is_always_restarted_returns_even_after_a_success() {
     let again = r#"
 [stage]
 again = { program = ["sh", "-c", "echo start >> starts.txt"], input = "tracks", restart = "always" }
@@ -395,7 +395,7 @@ fn nothing_stays_in_shared_memory_however_runs_end() {
 }
 
 #[test]
-fn a_run_that_is_told_to_end_as_soon_as_it_has_shared_memory_leaves_nothing() {
+fn a_run_that_is_interrupted_as_soon_as_it_has_shared_memory_leaves_nothing() {
     let playground = Playground::with_pipeline(TRACKING);
     let mut random = fastrand::Rng::with_seed(1);
     for round in 0..10 {
@@ -415,7 +415,7 @@ fn begin(path: &Path) {
 }
 
 #[test]
-fn what_a_stage_was_killed_over_while_it_made_it_is_removed_while_the_run_goes_on() {
+fn a_resource_left_half_made_by_a_killed_stage_is_removed_while_the_run_goes_on() {
     let (playground, mut run) = at_work(TRACKING, 50);
     let path = Path::new("/dev/shm").join(shared_prefix(&playground) + "begun.dynamic");
     begin(&path);
@@ -425,7 +425,7 @@ fn what_a_stage_was_killed_over_while_it_made_it_is_removed_while_the_run_goes_o
 }
 
 #[test]
-fn what_processes_were_killed_over_while_they_made_it_stops_no_later_run() {
+fn resources_left_half_made_by_killed_processes_stop_no_later_run() {
     let (playground, run) = at_work(TRACKING, 50);
     let prefix = shared_prefix(&playground);
     signal(run.id(), Signal::STOP);

@@ -167,7 +167,7 @@ fn show(base: &Playground, file: &str, from: usize) -> Written {
 }
 
 #[test]
-fn the_robot_does_not_feel_a_bad_radio_and_lists_stay_fresh_while_images_are_late() {
+fn a_bad_radio_does_not_delay_the_robot_and_lists_stay_fresh_while_images_are_late() {
     let Some(hosts) = Hosts::with_radio(50) else { return };
     let machines = machines(&everything_crosses());
     let base = &machines[1];
@@ -224,7 +224,7 @@ fn lossless_edges_lose_nothing_over_a_bad_radio() {
 /// What comes of objects alone over ways that are encrypted.
 #[test]
 #[ignore = "measures, and shows little; cargo test -- --ignored --nocapture"]
-fn objects_come_by_encrypted_datagrams() {
+fn objects_arrive_by_encrypted_datagrams() {
     for more in ["", "#initial_mtu=1400"] {
         let Some(hosts) = Hosts::with_radio(50) else { return };
         let endpoints = format!(r#"["tls/{ROBOT}:7447", "quic/{ROBOT}:7447?rel=0{more}"]"#);

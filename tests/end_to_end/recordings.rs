@@ -50,7 +50,7 @@ json      = { node = "json_sink", input = { topic = "objects", delivery = "lossl
 "#;
 
 #[test]
-fn a_run_that_was_recorded_is_replayed_to_the_bit_from_any_stage_on() {
+fn a_recorded_run_is_replayed_bit_for_bit_from_any_stage_on() {
     let playground = Playground::with_pipeline(&recording());
     playground.conicflow(&["run", "--frames", FRAMES]).expect_code(0);
     let (objects, tracks) = (without_times(&playground, "objects.jsonl"), without_times(&playground, "tracks.jsonl"));
@@ -72,7 +72,7 @@ fn a_run_that_was_recorded_is_replayed_to_the_bit_from_any_stage_on() {
 }
 
 #[test]
-fn what_a_killed_recorder_has_written_is_replayed() {
+fn the_recording_of_a_killed_recorder_is_replayed() {
     let playground = Playground::with_pipeline(&recording());
     let run = playground.start(&["run", "--set", "source.rate_hz=100", "--set", "recorder.split_s=1000"]);
     let size = || fs::metadata(playground.path("run.mcap")).map_or(0, |about| about.len());
@@ -93,7 +93,7 @@ fn what_a_killed_recorder_has_written_is_replayed() {
 }
 
 #[test]
-fn a_recording_without_an_index_may_begin_with_much_that_nobody_reads() {
+fn a_recording_without_an_index_may_begin_with_many_unused_messages() {
     let playground = Playground::with_pipeline(&recording());
     playground.conicflow(&["run", "--quiet", "--frames", FRAMES]).expect_code(0);
     let recorded = fs::read(playground.path("run.mcap")).unwrap();
@@ -148,7 +148,7 @@ fn a_recorder_that_is_replaced_leaves_two_recordings_and_no_empty_file() {
 
 /// Files that are there stay as they are.
 #[test]
-fn a_recording_that_a_swap_begins_lies_where_it_was_to_and_goes_on_with_no_other_file() {
+fn a_recording_that_begins_with_a_swap_has_its_own_path_and_continues_no_other_file() {
     let playground = Playground::with_pipeline(TRACKING);
     playground.write("earlier.jsonl", "{\"sequence\": 7}\n");
     let mut run = playground.start(&["run", "--set", "source.rate_hz=100"]);
@@ -166,7 +166,7 @@ fn a_recording_that_a_swap_begins_lies_where_it_was_to_and_goes_on_with_no_other
 }
 
 #[test]
-fn an_onlooker_s_recording_ends_where_it_is_as_large_as_it_may_be() {
+fn the_record_command_ends_at_its_size_limit() {
     let (playground, run) = at_work(TRACKING, 500);
     let recorded = playground.conicflow(&["record", "-o", "part.mcap", "--limit-mb", "1"]).expect_code(0);
     recorded.expect_told(&["the recording has reached `--limit-mb`: no more is recorded", "recorded 1."]);
@@ -174,7 +174,7 @@ fn an_onlooker_s_recording_ends_where_it_is_as_large_as_it_may_be() {
 }
 
 #[test]
-fn an_onlooker_records_a_running_pipeline_until_it_ends() {
+fn the_record_command_records_a_running_pipeline_until_it_ends() {
     // Who only looks on gets what it has time for, on a busy machine too.
     let (playground, mut run) = at_work(TRACKING, 25);
     let mut recorder = playground.start(&["record", "depth", "objects", "depth", "-o", "part.mcap"]);
@@ -213,7 +213,7 @@ fn an_onlooker_records_a_running_pipeline_until_it_ends() {
 }
 
 #[test]
-fn what_cannot_be_replayed_is_told() {
+fn recordings_that_cannot_be_replayed_are_reported() {
     let playground = Playground::with_pipeline(&replay(TRACKING));
     let none = playground.conicflow(&["validate"]).expect_code(2);
     none.expect_told(&["run.mcap` does not exist"]);
@@ -251,7 +251,7 @@ const TIMED_OUT: i32 = 124;
 const COLOURS: usize = 1000;
 
 #[test]
-fn other_programs_read_what_is_recorded() {
+fn other_programs_read_recordings() {
     let Some(python) = other_programs() else { return };
     // All three kinds, wide enough for them.
     let wide = recording().replace("width      = 64\nheight     = 48", "width      = 320\nheight     = 240");

@@ -256,7 +256,7 @@ fn clouds_of_ros_give_the_objects_that_the_same_files_give() {
 /// From Lyrical on a publisher of images sends below the key of the topic, to subscribers whose token says that they take them
 /// there.
 #[test]
-fn images_that_come_below_the_key_are_taken() {
+fn images_below_the_key_of_the_topic_are_taken() {
     let (endpoint, _router, session) = behind_router();
     let playground = Playground::with_pipeline(&by_ros(RECORDING, &endpoint));
     let mut run = playground.start(&["run", "--frames", "3"]);
@@ -278,7 +278,7 @@ fn images_that_come_below_the_key_are_taken() {
 
 /// Where nodes speak DDS, `zenoh-bridge-ros2dds` carries their topics: by their names, with tokens of its own and no attachments.
 #[test]
-fn topics_that_a_bridge_carries_from_dds_come_and_go() {
+fn topics_are_exchanged_with_a_bridge_to_dds() {
     const FRAMES: usize = 10;
     let (files, camera, images) = recorded(RECORDING, FRAMES as u64);
     files.conicflow(&["run"]).expect_code(0);
@@ -317,7 +317,7 @@ fn topics_that_a_bridge_carries_from_dds_come_and_go() {
 
 /// A static transform that was sent before the run began, and one that moves, give the pose of each image; the sink sends it on.
 #[test]
-fn the_pose_of_the_camera_comes_from_transforms_and_goes_out_as_one() {
+fn the_pose_of_the_camera_is_read_from_transforms_and_published_as_one() {
     let (endpoint, _router, session) = behind_router();
     let tf = |name: &str| RobotsTopic::new(&session, &format!("0/{name}/tf2_msgs::msg::dds_::TFMessage_/{TF_HASH}"));
     let pose = |x| [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
@@ -361,7 +361,7 @@ fn the_pose_of_the_camera_comes_from_transforms_and_goes_out_as_one() {
 }
 
 #[test]
-fn tracks_reach_ros_and_the_node_is_seen() {
+fn tracks_reach_ros_and_the_node_is_listed_there() {
     let (endpoint, _router, session) = behind_router();
     let heard = Arc::<Mutex<Vec<Heard>>>::default();
     let take = Arc::clone(&heard);
@@ -442,7 +442,7 @@ fn check_heard(heard: &[Heard]) {
 }
 
 #[test]
-fn hostile_messages_are_passed_over_and_told_once() {
+fn malformed_messages_are_skipped_and_reported_once() {
     let (endpoint, _router, session) = behind_router();
     let playground = Playground::with_pipeline(&by_ros(RECORDING, &endpoint));
     let mut run = playground.start(&["run", "--frames", "3"]);
@@ -481,7 +481,7 @@ fn hostile_messages_are_passed_over_and_told_once() {
 }
 
 #[test]
-fn a_router_of_ros_may_come_late_and_come_again() {
+fn a_router_of_ros_may_start_late_and_restart() {
     let endpoint = loopback();
     let playground = Playground::with_pipeline(&to_ros(&endpoint));
     let mut run = playground.start(&["run"]);
@@ -508,7 +508,7 @@ fn is_without_router(playground: &Playground, round: u64) -> bool {
 }
 
 #[test]
-fn silence_is_told_with_what_there_is_instead() {
+fn silence_is_reported_with_the_topics_that_exist() {
     let (endpoint, _router, session) = behind_router();
     let token = format!(
         "@ros2_lv/0/{}/0/1/MP/%/%/driver/%camera%depth%points/sensor_msgs::msg::dds_::PointCloud2_/RIHS01_0/::,10:,:,:,,",
@@ -524,7 +524,7 @@ fn silence_is_told_with_what_there_is_instead() {
 
 /// Images come at 50 Hz: none of them waits for the camera as long as that is waited for.
 #[test]
-fn images_whose_camera_nobody_tells_are_told_and_counted_while_nothing_is_sent() {
+fn images_without_a_camera_info_are_reported_and_counted_and_nothing_is_sent() {
     let (endpoint, _router, session) = behind_router();
     let playground = Playground::with_pipeline(&by_ros(RECORDING, &endpoint));
     let mut run = playground.start(&["run"]);
@@ -556,7 +556,7 @@ fn images_whose_camera_nobody_tells_are_told_and_counted_while_nothing_is_sent()
 }
 
 #[test]
-fn messages_are_those_of_an_independent_reader() {
+fn messages_are_read_by_an_independent_reader() {
     let Some(python) = python_with("rosbags", "has no rosbags; nothing was shown") else { return };
     let (endpoint, _router, session) = behind_router();
     let heard = session.declare_subscriber("0/conicflow/**").wait().unwrap();

@@ -30,7 +30,7 @@ sink   = {{ program = {program}, input = "depth", path = "numbers.txt", delay_ms
 }
 
 #[test]
-fn a_run_ends_by_itself_where_one_reader_is_lossless_and_another_is_slow() {
+fn a_run_ends_by_itself_when_one_reader_is_lossless_and_another_slow() {
     let playground = slow_pipeline(60);
     let extractor = "
 [stage.extractor]
@@ -47,7 +47,7 @@ output = \"ellipses\"
 }
 
 #[test]
-fn the_default_pipeline_tracks_and_tells_of_all_its_stages() {
+fn the_default_pipeline_tracks_and_its_summary_names_all_stages() {
     let small = ["--set", "source.width=160", "--set", "source.height=120", "--set", "source.rate_hz=0"];
     let sets = [&small[..], &["--set", "source.frames=5"]].concat();
     let ended = Playground::new().conicflow(&[&["run"][..], &sets].concat()).expect_code(0);
@@ -61,7 +61,7 @@ fn the_default_pipeline_tracks_and_tells_of_all_its_stages() {
 
 /// When a terminal closes, all processes that were started at it get SIGHUP.
 #[test]
-fn what_is_to_outlive_its_terminal_does() {
+fn a_run_started_with_nohup_outlives_its_terminal() {
     let playground = Playground::with_pipeline(TRACKING);
     let run = ["run", "--quiet", "--set", "source.rate_hz=100"];
     let mut run = Started::new(within(Command::new("nohup"), &playground.command(&run)));
@@ -76,7 +76,7 @@ fn what_is_to_outlive_its_terminal_does() {
 }
 
 #[test]
-fn without_that_a_run_ends_with_its_terminal() {
+fn a_run_started_without_nohup_ends_with_its_terminal() {
     let playground = Playground::with_pipeline(TRACKING);
     let mut run =
         Started::new(hearing_hangups(&playground.command(&["run", "--quiet", "--set", "source.rate_hz=100"])));
@@ -86,7 +86,7 @@ fn without_that_a_run_ends_with_its_terminal() {
 }
 
 #[test]
-fn quiet_runs_say_nothing() {
+fn quiet_runs_log_nothing() {
     let playground = Playground::with_pipeline(TRACKING);
     let ended = playground.conicflow(&["run", "--quiet", "--frames", "3"]).expect_code(0);
     assert_eq!((ended.stdout.as_str(), ended.stderr.as_str()), ("", ""));
@@ -138,7 +138,7 @@ fn a_slow_reader_loses_frames_and_each_of_them_is_counted() {
 }
 
 #[test]
-fn a_source_that_looks_through_a_hundred_thousand_files_does_not_hang() {
+fn a_source_that_surveys_a_hundred_thousand_files_does_not_count_as_hanging() {
     let text = RECORDING.replace("rate_hz = 0", "rate_hz = 0\nrestart = { when = \"on_failure\", hang_s = 1 }");
     let playground = Playground::in_memory().and_pipeline(&text);
     playground.record_with_camera(Scene::built_in("tabletop").unwrap().unwrap(), 5, 2);
@@ -171,7 +171,7 @@ fn a_single_frame_arrives_even_where_only_the_newest_is_wanted() {
 }
 
 #[test]
-fn a_run_ends_after_so_much_time() {
+fn a_run_ends_after_its_time_limit() {
     let playground = Playground::with_pipeline(TRACKING);
     let begun = Instant::now();
     let ended = playground.conicflow(&["run", "--for", "1s", "--set", "source.rate_hz=50"]).expect_code(0);
@@ -342,7 +342,7 @@ fn a_bad_frame_among_good_ones_is_passed_over_and_counted() {
 }
 
 #[test]
-fn a_run_whose_recording_goes_while_it_is_played_says_how_much_of_it_was_read_and_fails() {
+fn a_run_whose_recording_disappears_reports_how_much_was_read_and_fails() {
     let playground = recording(0..40);
     let mut run = playground.start(&["run", "--set", "source.rate_hz=20"]);
     run.wait_until("it delivers", || playground.lines("objects.jsonl").len() > 3);
@@ -355,7 +355,7 @@ fn a_run_whose_recording_goes_while_it_is_played_says_how_much_of_it_was_read_an
 }
 
 #[test]
-fn a_run_that_fails_before_it_has_anything_to_write_leaves_the_lines_of_the_last_one() {
+fn a_run_that_fails_before_its_first_line_leaves_the_lines_of_the_last_run() {
     let playground = recording(8..10);
     playground.conicflow(&["run"]).expect_code(0);
     let lines = playground.lines("objects.jsonl");
@@ -413,7 +413,7 @@ fn a_run_that_finds_objects_lists_its_reasons_with_the_level_debug_alone() {
 }
 
 #[test]
-fn a_log_has_the_time_of_each_line_where_that_is_wanted() {
+fn a_log_has_the_time_of_each_line_on_request() {
     let playground = recording(8..10);
     for (said, is_timed) in [("1", true), ("", false)] {
         let output = playground.command(&["run"]).env("CONICFLOW_LOG_TIME", said).output().unwrap();

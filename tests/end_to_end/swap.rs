@@ -91,7 +91,7 @@ fn a_stage_is_replaced_by_one_with_other_parameters_and_by_another_node() {
 }
 
 #[test]
-fn what_does_not_validate_or_cannot_start_leaves_the_stage_at_work() {
+fn a_replacement_that_is_invalid_or_cannot_start_leaves_the_stage_at_work() {
     let (playground, mut run) = at_work(TRACKING, 30);
     let (before, plan) = (stages_of(run.id()), playground.runtime().join("run/tracking/plan.json"));
     let planned = fs::read(&plan).unwrap();
@@ -118,7 +118,7 @@ fn what_does_not_validate_or_cannot_start_leaves_the_stage_at_work() {
 }
 
 #[test]
-fn a_source_that_cannot_begin_gives_its_place_back() {
+fn a_source_that_cannot_start_gives_its_place_back() {
     let (playground, mut run) = at_work(TRACKING, 30);
     fs::create_dir(playground.path("frames")).unwrap();
     let refused = playground.conicflow(&["swap", "source", "--node", "image_source", "--set", "path=frames/"]);
@@ -128,7 +128,7 @@ fn a_source_that_cannot_begin_gives_its_place_back() {
 }
 
 #[test]
-fn a_source_whose_frames_were_all_sent_before_it_came_says_so() {
+fn a_new_source_whose_frames_were_all_sent_before_reports_it() {
     let (playground, run) = at_work(TRACKING, 30);
     playground.record_with_camera(Scene::built_in("tabletop").unwrap().unwrap(), 5, 2);
     playground.conicflow(&["swap", "source", "--node", "image_source", "--set", "path=frames"]).expect_code(0);
@@ -138,7 +138,7 @@ fn a_source_whose_frames_were_all_sent_before_it_came_says_so() {
 }
 
 #[test]
-fn an_answer_that_cannot_be_written_comes_later_and_ends_no_run() {
+fn an_answer_that_cannot_be_written_is_written_later_and_ends_no_run() {
     let (playground, mut run) = at_work(TRACKING, 30);
     let in_the_way = playground.runtime().join("run/tracking/swap.answer.new");
     fs::create_dir(&in_the_way).unwrap();

@@ -47,7 +47,7 @@ fn lines_of_errors(text: &str) -> Vec<usize> {
 }
 
 #[test]
-fn all_faults_are_told_at_once_each_with_its_place_and_a_hint_in_the_order_of_the_lines() {
+fn all_faults_are_reported_at_once_with_place_and_hint_in_the_order_of_the_lines() {
     let playground = Playground::new();
     let here = folder().canonicalize().unwrap();
     let mut differing = Vec::new();
@@ -67,7 +67,7 @@ fn all_faults_are_told_at_once_each_with_its_place_and_a_hint_in_the_order_of_th
 }
 
 #[test]
-fn nothing_starts_from_a_faulty_file() {
+fn a_faulty_file_starts_no_stage() {
     let playground = Playground::new();
     let before = names_in_folder();
     for file in faulty_files() {
@@ -87,7 +87,7 @@ fn a_sound_file_is_valid() {
 }
 
 #[test]
-fn what_is_odd_but_works_is_a_warning() {
+fn settings_that_work_but_are_probably_mistakes_give_a_warning() {
     let (without_sink, _) = SOUND.split_once("json ").unwrap();
     let playground = Playground::with_pipeline(without_sink);
     let ended = playground.conicflow(&["validate"]).expect_code(0);
@@ -142,7 +142,7 @@ fn overrides_are_checked_as_the_file_is() {
 }
 
 #[test]
-fn parameters_of_the_papers_way_stand_in_tables_of_their_own() {
+fn parameters_of_the_papers_method_have_tables_of_their_own() {
     let playground = Playground::with_pipeline(SOUND);
     let sets = ["validate", "--set", "extractor.arcs=conic", "--set", "extractor.conic.min_arc_deg=45"];
     playground.conicflow(&sets).expect_code(0);
@@ -151,7 +151,7 @@ fn parameters_of_the_papers_way_stand_in_tables_of_their_own() {
 }
 
 #[test]
-fn overrides_take_the_place_of_what_the_file_says() {
+fn overrides_replace_values_of_the_file() {
     let playground = Playground::with_pipeline(SOUND);
     let sets = ["source.width=64", "source.height=48", "source.noise.floor_m=0.002", "json.path=other.jsonl"];
     let small: Vec<_> = sets.iter().flat_map(|set| ["--set", set]).collect();
@@ -174,7 +174,7 @@ fn more_stages_than_a_run_can_start_are_refused() {
 
 /// Recordings are often called by their date.
 #[test]
-fn text_that_looks_like_a_number_or_a_date_is_told_how_to_be_written() {
+fn the_hint_for_text_that_looks_like_a_number_or_a_date_says_how_to_write_it() {
     let playground = Playground::with_pipeline(RECORDING);
     for name in ["20240501_120000", "2024-05-01", "true"] {
         let set = format!("source.path={name}");

@@ -151,7 +151,7 @@ pub fn items(json: &Json) -> &[Json] {
 }
 
 #[test]
-fn a_run_is_shown_as_it_goes_on_and_waited_for_before_and_after() {
+fn a_live_run_is_shown_and_waited_for_before_and_after() {
     let playground = Playground::with_pipeline(TRACKING);
     let page = Page::open(&playground, &[]);
     let (waiting, _) = page.look("test", 0);
@@ -181,7 +181,7 @@ fn a_run_is_shown_as_it_goes_on_and_waited_for_before_and_after() {
 }
 
 #[test]
-fn several_pipelines_are_offered_and_another_one_can_be_chosen() {
+fn several_pipelines_are_offered_and_the_user_can_choose_another() {
     let playground = Playground::with_pipeline(TRACKING);
     playground
         .write("second.toml", &TRACKING.replace("\"tracking\"", "\"second\"").replace("tracks.jsonl", "second.jsonl"));
@@ -197,7 +197,7 @@ fn several_pipelines_are_offered_and_another_one_can_be_chosen() {
 }
 
 #[test]
-fn who_comes_from_elsewhere_is_refused_and_what_makes_no_sense_is_told() {
+fn requests_from_other_sites_are_refused_and_malformed_ones_are_reported() {
     let playground = Playground::new();
     let page = Page::open(&playground, &[]);
     let own = page.host.clone();
@@ -250,7 +250,7 @@ fn other_machines_need_the_token() {
 }
 
 #[test]
-fn a_hundred_browsers_and_those_that_leave_in_the_middle_cost_the_run_nothing() {
+fn a_hundred_browsers_and_broken_connections_cost_the_run_nothing() {
     const FRAMES: &str = "240";
     let playground = Playground::with_pipeline(TRACKING);
     let page = Page::open(&playground, &[]);
@@ -353,7 +353,7 @@ fn a_recording_that_ends_in_the_middle_and_one_of_depth_alone_are_shown() {
 }
 
 #[test]
-fn a_damaged_place_ends_neither_the_page_nor_a_run() {
+fn a_damaged_place_in_a_recording_ends_neither_the_page_nor_a_run() {
     let playground = Playground::new();
     recording(&playground, "400");
     let mut bytes = std::fs::read(playground.path("run.mcap")).unwrap();

@@ -101,7 +101,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_wish_in_json_may_name_its_character_set() {
+    fn a_command_in_json_may_name_its_character_set() {
         let page = Page::new(Arc::default());
         let status = |kind: &str| {
             let head = format!("POST /command HTTP/1.1\r\nContent-Type: {kind}\r\n\r\n");

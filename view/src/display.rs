@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn who_asks_is_given_the_newest_frame_once() {
+    fn a_browser_gets_the_newest_frame_once() {
         let display = Display::default();
         assert!(!display.is_watched());
         [1, 2, 3].into_iter().for_each(|sequence| display.show(frame(sequence)));
@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn who_waits_is_woken_by_a_frame() {
+    fn a_waiting_browser_is_woken_by_a_frame() {
         let display = Arc::new(Display::default());
         let waiting = Arc::clone(&display);
         let waits = std::thread::spawn(move || waiting.look("a", 0, 0, LONG).unwrap().frames);
@@ -251,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn there_are_only_so_many_browsers() {
+    fn the_number_of_browsers_is_limited() {
         let display = Display::default();
         for number in 0..MAX_BROWSERS {
             assert!(display.look(&number.to_string(), 0, 0, NOT_AT_ALL).is_ok());
@@ -261,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn wishes_are_read_and_kept_in_bounds() {
+    fn commands_are_parsed_and_kept_in_bounds() {
         let wish = |text: &str| serde_json::from_str::<Command>(text);
         assert_eq!(wish(r#"{"do":"step","by":-1}"#).unwrap(), Command::Step { by: -1 });
         assert_eq!(wish(r#"{"do":"play"}"#).unwrap(), Command::Play);

@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn no_more_pixels_are_sent_than_asked_for() {
+    fn the_number_of_pixels_sent_is_limited_to_the_request() {
         let frame = frame();
         assert_eq!([u32::MAX, 5, 4, 2, 1, 0].map(|columns| frame.step(columns)), [1, 1, 2, 3, 5, 5]);
     }
@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn items_of_a_second_variant_come_behind_and_pairs_know_each_other() {
+    fn items_of_a_second_variant_follow_and_pairs_refer_to_each_other() {
         let ball = |x: f64| Object { kind: ObjectKind::Sphere.code(), center: [x, 0.0, 2.0], ..Object::default() };
         let pair = Pair { own: 1, other: 0, position_m: 0.02, radius_m: -0.001 };
         let list = List::Objects(vec![ball(0.3), ball(0.0)]);

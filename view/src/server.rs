@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn who_asks_for_the_head_is_sent_all_but_the_body() {
+    fn a_head_request_is_answered_without_the_body() {
         let server = Server::start(&Listen::open(SocketAddr::from((Ipv4Addr::LOCALHOST, 0))), Told).unwrap();
         let answer = |method: &str| {
             let mut stream = TcpStream::connect(server.address).unwrap();

@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn a_link_is_shown_as_what_is_heard_and_reached_with_its_times_in_their_units() {
+    fn the_state_of_a_link_follows_from_its_peer_and_its_times_have_the_right_units() {
         let (folder, plan) = (tempfile::tempdir().unwrap(), plan(Vec::new(), Vec::new()));
         let links = links(&plan);
         let reporter = reporter(&plan, folder.path(), &links);
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn a_link_shows_what_goes_to_its_machine_or_comes_from_it() {
+    fn a_link_shows_the_edges_to_and_from_its_machine() {
         let outgoing = Edge { from: "base".to_owned(), ..edge("robot", "objects") };
         let incoming = Edge { from: "arm".to_owned(), ..edge("base", "tracks") };
         let (folder, plan) = (tempfile::tempdir().unwrap(), plan(vec![outgoing], vec![incoming]));
@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn what_leaves_is_received_by_the_bridge_and_what_comes_is_sent_by_it() {
+    fn outgoing_messages_count_as_received_by_the_bridge_and_incoming_ones_as_sent_by_it() {
         let (outgoing, incoming) = (vec![edge("robot", "objects")], vec![edge("base", "tracks")]);
         let (folder, plan) = (tempfile::tempdir().unwrap(), plan(outgoing, incoming));
         let links = links(&plan);
@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn the_next_bridge_of_the_run_goes_on_with_all_counts_of_each_edge_and_that_of_another_run_with_none() {
+    fn the_next_bridge_of_a_run_continues_all_counts_of_each_edge_and_that_of_another_run_starts_at_zero() {
         let from = |machine: &str| Edge { from: machine.to_owned(), ..edge("base", "tracks") };
         let (folder, plan) =
             (tempfile::tempdir().unwrap(), plan(vec![edge("robot", "objects")], vec![from("arm"), from("robot")]));

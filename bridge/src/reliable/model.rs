@@ -747,7 +747,7 @@ fn without_a_key_no_order_of_events_loses_anything_or_keeps_a_run_waiting() {
 }
 
 #[test]
-fn where_the_newest_wins_no_order_of_events_brings_a_message_twice_or_keeps_a_run_waiting() {
+fn with_latest_no_order_of_events_delivers_a_message_twice_or_keeps_a_run_waiting() {
     for (messages, kills) in [(2, [0, 1, 1]), (1, [1, 1, 0])] {
         Trial::new(Delivery::Latest, messages, kills).expect_to_hold(1000);
     }
@@ -756,7 +756,7 @@ fn where_the_newest_wins_no_order_of_events_brings_a_message_twice_or_keeps_a_ru
 /// Explores all orders of events with more messages and kills; takes minutes.
 #[test]
 #[ignore = "takes minutes"]
-fn no_longer_order_of_events_loses_anything_or_keeps_a_run_waiting() {
+fn no_order_of_more_events_loses_anything_or_keeps_a_run_waiting() {
     use Delivery::{Latest, Lossless};
     for has_key in [true, false] {
         for (delivery, messages, kills) in [
@@ -773,7 +773,7 @@ fn no_longer_order_of_events_loses_anything_or_keeps_a_run_waiting() {
 }
 
 #[test]
-fn what_an_edge_stands_on_cannot_be_left_out() {
+fn no_part_of_the_protocol_can_be_left_out() {
     use Delivery::{Latest, Lossless};
     for (fault, kills) in [
         (Fault::KeepsNoLog, [1, 0, 0]),

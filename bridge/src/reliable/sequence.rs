@@ -286,7 +286,7 @@ mod tests {
     }
 
     #[test]
-    fn lossless_takes_each_once_and_in_order() {
+    fn a_lossless_sequence_takes_each_message_once_and_in_order() {
         let mut sequence = Sequence::new(true, false);
         let verdicts = [3, 5, 4, 3, 5].map(|number| take(&mut sequence, 1, number, 3));
         assert_eq!(verdicts, [Verdict::Take, Verdict::Early, Verdict::Take, Verdict::Old, Verdict::Take]);
@@ -294,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn an_end_is_heard_also_when_it_is_told_again_but_not_that_of_an_earlier_stream() {
+    fn a_repeated_end_counts_as_an_end_but_not_that_of_an_earlier_stream() {
         let mut sequence = Sequence::new(true, true);
         take(&mut sequence, 5, 0, 0);
         take(&mut sequence, 5, 1, 0);
@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_sender_has_given_up_is_counted_and_not_waited_for() {
+    fn messages_that_the_sender_has_given_up_are_counted_and_not_waited_for() {
         let mut sequence = Sequence::new(true, true);
         take(&mut sequence, 1, 0, 0);
         assert_eq!(take(&mut sequence, 1, 9, 8), Verdict::Early);
@@ -319,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn an_end_that_is_told_again_counts_nothing_as_lost() {
+    fn a_repeated_end_counts_nothing_as_lost() {
         let now = Instant::now();
         for first in
             [StreamPosition { stream: 1, number: 2, oldest: 9 }, StreamPosition { stream: 1, number: 8, oldest: 9 }]
@@ -333,7 +333,7 @@ mod tests {
     }
 
     #[test]
-    fn the_newest_wins_where_that_is_wanted() {
+    fn with_latest_the_newest_message_is_taken() {
         let mut sequence = Sequence::new(false, false);
         let verdicts = [4, 6, 5].map(|number| take(&mut sequence, 1, number, number));
         assert_eq!(verdicts, [Verdict::Take, Verdict::Take, Verdict::Old]);
@@ -341,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sender_that_starts_anew_is_followed_and_its_predecessor_not() {
+    fn a_restarted_sender_is_followed_and_its_predecessor_ignored() {
         for lossless in [true, false] {
             let mut sequence = Sequence::new(lossless, false);
             take(&mut sequence, 5, 7, 7);
@@ -381,7 +381,7 @@ mod tests {
     }
 
     #[test]
-    fn a_forged_message_is_not_taken_and_takes_nothing_from_the_true_ones() {
+    fn a_forged_message_is_not_taken_and_displaces_no_genuine_one() {
         let start = Instant::now();
         for forged in forged() {
             let mut sequence = at_work(start);
@@ -401,7 +401,7 @@ mod tests {
     }
 
     #[test]
-    fn a_forged_message_that_comes_again_and_again_brings_the_edge_out_of_step_for_a_while_alone() {
+    fn a_forged_message_that_is_repeated_disturbs_the_edge_only_for_a_while() {
         let start = Instant::now();
         for forged in forged() {
             let (mut sequence, mut now, mut taken) = (at_work(start), start, Vec::new());
@@ -431,7 +431,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_sender_seldom_does_is_believed_when_it_comes_again() {
+    fn a_rare_kind_of_message_is_believed_when_it_is_repeated() {
         let start = Instant::now();
         let position = |stream, number, oldest| StreamPosition { stream, number, oldest };
         for (seldom, next, lost) in [
@@ -463,7 +463,7 @@ mod tests {
 
     /// A forged stream, or a forged number of the true stream, is left again.
     #[test]
-    fn what_was_taken_before_a_leap_is_not_taken_again_when_the_sender_goes_on_as_before() {
+    fn messages_taken_before_a_leap_are_not_taken_again_when_the_sender_continues_as_before() {
         let start = Instant::now();
         for forged in
             [StreamPosition { stream: 8, number: 0, oldest: 0 }, StreamPosition { stream: 7, number: 900, oldest: 900 }]
@@ -486,7 +486,7 @@ mod tests {
     }
 
     #[test]
-    fn an_end_that_was_heard_before_a_leap_is_heard_when_it_comes_again() {
+    fn an_end_from_before_a_leap_counts_when_it_is_repeated() {
         let (start, mut sequence) = (Instant::now(), Sequence::new(true, false));
         let old = StreamPosition { stream: 7, number: 3, oldest: 3 };
         take(&mut sequence, 7, 50, 50);
@@ -498,7 +498,7 @@ mod tests {
     }
 
     #[test]
-    fn no_more_doubts_are_kept_than_tell_true_messages() {
+    fn the_number_of_doubtful_messages_that_are_kept_is_limited() {
         let (start, mut sequence) = (Instant::now(), Sequence::new(true, false));
         take(&mut sequence, 7, 0, 0);
         for number in 2..1000 {
@@ -510,7 +510,7 @@ mod tests {
     }
 
     #[test]
-    fn a_number_that_the_sender_never_reached_stops_nothing_where_the_newest_wins() {
+    fn with_latest_a_forged_number_ahead_of_the_sender_does_not_stop_the_edge() {
         for forged in [1 << 63, 100_000] {
             let (mut sequence, start) = (Sequence::new(false, false), Instant::now());
             let mut take = |number: u64, oldest: u64, now: Instant| {
@@ -528,7 +528,7 @@ mod tests {
     }
 
     #[test]
-    fn what_somebody_repeats_of_a_trusted_sender_is_old_however_old_it_is() {
+    fn replayed_messages_of_a_trusted_sender_are_old_at_any_age() {
         for lossless in [true, false] {
             let (mut sequence, start) = (Sequence::new(lossless, true), Instant::now());
             let position = |number| StreamPosition { stream: 1, number, oldest: number };
@@ -543,7 +543,7 @@ mod tests {
     }
 
     #[test]
-    fn what_comes_late_by_a_slow_way_is_old_as_long_as_new_ones_come() {
+    fn late_messages_of_a_slower_path_are_old_as_long_as_new_ones_arrive() {
         let (mut sequence, start) = (Sequence::new(false, false), Instant::now());
         for number in 0..300_u64 {
             let now = start + Duration::from_millis(33 * number);
@@ -558,7 +558,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_sent_again_because_its_acknowledgement_was_lost_is_old() {
+    fn a_message_retransmitted_after_a_lost_acknowledgement_is_old() {
         let mut sequence = Sequence::new(true, false);
         take(&mut sequence, 1, FARTHEST_BEHIND, FARTHEST_BEHIND);
         assert_eq!(take(&mut sequence, 1, 1, 1), Verdict::Old);

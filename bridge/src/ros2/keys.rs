@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn keys_and_tokens_of_rmw_zenoh() {
+    fn keys_and_tokens_are_those_of_rmw_zenoh() {
         let participant = participant(Via::RmwZenoh, Distro::Jazzy);
         let keys = Keys(&participant);
         let told: Vec<_> = participant.ends.iter().map(|end| keys.key(end)).collect();
@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn only_who_takes_bytes_from_rmw_zenoh_takes_messages_below_their_key() {
+    fn only_a_subscriber_over_rmw_zenoh_takes_messages_below_its_key() {
         let takes_below = |via, way| {
             let participant = participant(via, Distro::Jazzy);
             Keys(&participant).takes_below(&end("/camera/depth/image", IMAGE, way))
@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn humble_has_no_numbers_of_types() {
+    fn humble_has_no_type_hashes() {
         let participant = participant(Via::RmwZenoh, Distro::Humble);
         let key = Keys(&participant).key(&participant.ends[2]);
         assert_eq!(key, "7/conicflow/tracks/vision_msgs::msg::dds_::Detection3DArray_/TypeHashNotSupported");
@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn keys_and_tokens_of_ros2dds() {
+    fn keys_and_tokens_are_those_of_ros2dds() {
         let participant = participant(Via::Ros2dds, Distro::Humble);
         let keys = Keys(&participant);
         let told: Vec<_> = participant.ends.iter().map(|end| keys.key(end)).collect();

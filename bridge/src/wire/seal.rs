@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_made_with_the_key_passes_and_tells_its_session() {
+    fn a_message_sealed_with_the_key_passes_and_names_its_session() {
         let secret = secret();
         let (ours, theirs) = (Seal::new(Some(&secret), 1), Seal::new(Some(&secret), 0x0102_0304_0506_0708));
         assert_eq!(ours.open(ZENOH_KEY, &closed(&theirs)), Ok(0x0102_0304_0506_0708));
@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn who_has_another_key_or_none_does_not_pass() {
+    fn a_message_sealed_with_another_key_or_none_does_not_pass() {
         let [ours, theirs] = [(); 2].map(|()| Seal::new(Some(&secret()), 1));
         let plain = Seal::new(None, 1);
         assert_eq!(ours.open(ZENOH_KEY, &closed(&theirs)), Err(WireError::WrongCode));

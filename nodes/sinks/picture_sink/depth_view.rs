@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn single_far_outliers_do_not_take_the_contrast() {
+    fn single_far_outliers_do_not_reduce_the_contrast() {
         let mut pixels = vec![1000, 1100];
         pixels.extend((0..200).map(|i| 1000 + i % 100));
         pixels.push(9000);
@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn the_scale_leads_from_the_near_to_the_far_colour_with_both_depths_beside_it() {
+    fn the_scale_runs_from_the_near_to_the_far_colour_and_names_both_depths() {
         let mut view = DepthView::new(Some(1.0), Some(3.0));
         painted(&mut view, &[1000]);
         let mut canvas = Canvas::default();

@@ -112,7 +112,7 @@ mod tests {
     use png::Encoder;
 
     #[test]
-    fn pixels_come_back_in_native_order() {
+    fn pixels_are_decoded_in_native_byte_order() {
         let pixels: Vec<u16> = (0..12).map(|i| i * 0x0123 + 1).collect();
         let mut decoded = vec![0; 12];
         decode(&png16(4, 3, &pixels), (4, 3), &mut decoded).unwrap();
@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_depth_image_is_told() {
+    fn an_image_without_depths_is_refused() {
         let told = |file: &[u8], size| format!("{:#}", decode(file, size, &mut [0; 12]).unwrap_err());
         let good = png16(4, 3, &(0..12).map(|i| i * 4001).collect::<Vec<_>>());
         let rgb = png_bytes(4, 3, ColorType::Rgb, BitDepth::Eight, &[9; 36]);
@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_several_frames_is_refused() {
+    fn an_animated_png_is_refused() {
         let mut file = Vec::new();
         let mut encoder = Encoder::new(&mut file, 4, 3);
         encoder.set_color(ColorType::Grayscale);
@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn a_size_that_cannot_be_is_refused_from_the_header() {
+    fn an_impossible_size_is_refused_from_the_header() {
         let mut file = png16(4, 3, &[1; 12]);
         file[16..24].copy_from_slice(&[0, 0, 0x40, 0, 0, 0, 0x40, 0]);
         let check = crc32(&file[12..29]);

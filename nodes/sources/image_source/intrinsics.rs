@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn what_would_change_the_camera_were_it_read_is_refused_and_notes_are_not() {
+    fn keys_that_would_change_the_camera_are_refused_and_notes_are_ignored() {
         let with = |entry: &str| MINE.replace('}', &format!(", {entry}}}"));
         for (entry, expected) in [
             (r#""depthScale": 0.001"#, "the key `depthScale` is not read, expected `depth_scale`"),
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn both_layouts_under_each_name() {
+    fn both_layouts_are_read_under_each_file_name() {
         for name in NAMES {
             let mine = found(name, MINE).unwrap().unwrap();
             assert_eq!((mine.intrinsics, mine.size, mine.depth_scale), (EXPECTED, Some((64, 48)), Some(0.0002)));
@@ -251,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_cannot_be_read_is_told_and_none_is_read_in_its_place() {
+    fn an_unreadable_file_is_reported_and_no_other_is_read_in_its_place() {
         let frames = tempfile::tempdir().unwrap();
         fs::write(frames.path().join("camera_intrinsics.json"), OPEN3D).unwrap();
         std::os::unix::fs::symlink("nowhere", frames.path().join("camera.json")).unwrap();
@@ -260,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn the_folder_above_is_looked_at_last() {
+    fn the_parent_folder_is_searched_last() {
         let parent = tempfile::tempdir().unwrap();
         let frames = parent.path().join("depth");
         fs::create_dir(&frames).unwrap();
@@ -271,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn another_file_in_the_folder_is_told_of_where_it_tells_of_another_camera() {
+    fn a_second_file_in_the_folder_is_reported_if_it_describes_another_camera() {
         let folder = tempfile::tempdir().unwrap();
         let another = |open3d: &str| {
             fs::write(folder.path().join("camera_intrinsics.json"), open3d).unwrap();
@@ -285,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn faults_are_told() {
+    fn faults_are_reported() {
         assert!(told("{\n oops").contains("line 2"));
         assert!(told(&MINE.replace("\"fy\": 52.0, ", "")).starts_with("the key `fy` is missing\n  hint: write `{"));
         assert!(told(&MINE.replace("52.0", "0")).starts_with("focal lengths are 1 to 1,000,000 pixels"));

@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn whole_numbers_are_units_as_in_a_png() {
+    fn whole_numbers_are_depth_units_as_in_a_png() {
         let expected = units(&depth_m(), 0.001);
         let bytes = |to: fn(u16) -> [u8; 2]| expected.iter().flat_map(|unit| to(*unit)).collect::<Vec<u8>>();
         let shape = format!("({}, {})", SIZE.1, SIZE.0);
@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_depth_image_is_refused_with_what_it_is() {
+    fn an_image_without_depths_is_refused_with_its_description() {
         let colour = vec![7_u8; 3 * (SIZE.0 * SIZE.1) as usize];
         let told_of_colour = told(&[("1.tiff", tiff::<colortype::RGB8>(&colour, Compression::Uncompressed))]);
         assert!(told_of_colour.contains("no depth image (RGB(8))"), "{told_of_colour}");

@@ -80,7 +80,7 @@ fn pixels(recording: &mut Recording, index: usize) -> Vec<u16> {
 }
 
 #[test]
-fn a_folder_of_pngs_in_natural_order() {
+fn a_folder_of_pngs_is_read_in_natural_order() {
     let ordered = [
         "img1.PNG",
         "img02.png",
@@ -110,7 +110,7 @@ fn colour_images_and_other_16_bit_images_are_passed_over() {
 }
 
 #[test]
-fn a_folder_with_a_depth_folder_or_that_folder_itself() {
+fn a_folder_with_a_depth_folder_and_that_folder_itself_are_read() {
     let folder = Folder::new()
         .depth(&["depth/0.png", "depth/1.png"])
         .colour(&["rgb.png"])
@@ -123,7 +123,7 @@ fn a_folder_with_a_depth_folder_or_that_folder_itself() {
 }
 
 #[test]
-fn a_single_file() {
+fn a_single_file_is_read() {
     let folder = Folder::new().depth(&["a.png", "b.png"]);
     let config = Config { intrinsics: Some(GIVEN), ..Config::default() };
     let mut recording = Recording::open(&folder.at("b.png"), &config).unwrap();
@@ -138,7 +138,7 @@ fn a_single_file() {
 }
 
 #[test]
-fn tum_folders_bring_their_stamps_and_scale() {
+fn tum_folders_have_their_stamps_and_scale() {
     let list =
         "# depth maps\n1305031102.160407 depth/b.png\n1305031102.194330 depth/a.png\n1305031102.3 depth/gone.png\n";
     let folder = Folder::new().depth(&["depth/a.png", "depth/b.png"]).file("depth.txt", list);
@@ -168,7 +168,7 @@ fn scale_and_intrinsics_come_from_the_nearest_authority() {
 }
 
 #[test]
-fn clouds_bring_their_camera_and_keep_their_depth() {
+fn clouds_have_their_camera_and_keep_their_depth() {
     let expected = depth_m();
     let folder = Folder::new().cloud("a.pcd", &points(&expected)).colour(&["a.png"]);
     let mut recording = folder.open().unwrap();
@@ -179,7 +179,7 @@ fn clouds_bring_their_camera_and_keep_their_depth() {
 }
 
 #[test]
-fn clouds_that_reach_far_turned_clouds_and_clouds_in_millimetres() {
+fn far_and_turned_clouds_and_clouds_in_millimetres_are_read() {
     let far: Vec<_> = depth_m().iter().map(|z| z * 4.0).collect();
     let turned: Vec<_> = points(&depth_m()).iter().map(|[x, y, z]| [*x, -y, -z]).collect();
     let folder = Folder::new().cloud("a.pcd", &points(&far)).cloud("b.pcd", &turned);
@@ -208,7 +208,7 @@ fn depths_that_cannot_be_sent_hold_no_measurement() {
 }
 
 #[test]
-fn clouds_in_millimetres_are_told() {
+fn pixels_of_clouds_in_millimetres_count_as_too_far() {
     let points: Vec<_> = points(&depth_m()).iter().map(|point| point.map(|x| x * 1000.0)).collect();
     let folder = Folder::new().cloud("a.pcd", &points);
     let mut source = source(&folder, Config::default(), 0);
@@ -238,7 +238,7 @@ fn unreadable_frames_leave_a_gap_in_time() {
 }
 
 #[test]
-fn a_frame_that_turns_out_damaged_is_told_and_the_next_one_is_read() {
+fn a_damaged_frame_is_reported_and_the_next_one_is_read() {
     let mut damaged = png16(48, 36, &units(&depth_m(), 0.001));
     damaged.truncate(damaged.len() / 2);
     let folder = Folder::new().file("a.png", damaged).depth(&["b.png"]);
@@ -252,7 +252,7 @@ fn a_frame_that_turns_out_damaged_is_told_and_the_next_one_is_read() {
 }
 
 #[test]
-fn what_cannot_be_opened_is_told_with_what_to_do() {
+fn recordings_that_cannot_be_opened_are_reported_with_a_hint() {
     assert!(Folder::new().depth(&["a.png"]).told().starts_with("no intrinsics for the frames in `"));
     let colour = Folder::new().colour(&["a.png"]).file("b.jpg", "");
     assert!(
@@ -286,7 +286,7 @@ fn what_cannot_be_opened_is_told_with_what_to_do() {
 }
 
 #[test]
-fn a_part_of_the_recording() {
+fn a_part_of_the_recording_is_played() {
     let folder = Folder::new().depth(&["0.png", "1.png", "2.png", "3.png"]);
     assert_eq!(names(&mut folder.part(1, Some(2)).unwrap()), ["1.png", "2.png"]);
     assert_eq!(folder.part(1, Some(2)).unwrap().load(0).unwrap().slot, 0);
@@ -359,7 +359,7 @@ fn a_restart_counts_the_frames_that_were_passed_over() {
 }
 
 #[test]
-fn frames_that_were_there_at_the_beginning_and_are_not_when_their_turn_comes_are_told_at_the_end() {
+fn frames_that_disappear_during_playback_are_reported_at_the_end() {
     let mut damaged = png16(48, 36, &units(&depth_m(), 0.001));
     damaged.truncate(damaged.len() / 2);
     let names = ["0.png", "2.png", "3.png", "4.png", "5.png"];
@@ -390,7 +390,7 @@ fn frames_that_were_there_at_the_beginning_and_are_not_when_their_turn_comes_are
 }
 
 #[test]
-fn the_look_at_the_files_tells_how_far_it_is() {
+fn the_survey_of_the_files_reports_its_progress() {
     let folder =
         Folder::new().depth(&["0.png", "1.png"]).file("0.pose.txt", matrix(0.0)).file("1.pose.txt", matrix(1.0));
     let config = Config { path: Some("frames".into()), intrinsics: Some(GIVEN), ..Config::default() };
@@ -405,7 +405,7 @@ fn the_look_at_the_files_tells_how_far_it_is() {
 }
 
 #[test]
-fn names_are_not_listed_and_sorted_in_silence() {
+fn listing_and_sorting_names_reports_progress() {
     let folder = tempfile::tempdir().unwrap();
     (0..1500).for_each(|number| fs::write(folder.path().join(format!("{number}.png")), "").unwrap());
     let mut told = Vec::new();
@@ -426,7 +426,7 @@ fn stamps_follow_the_rate() {
 }
 
 #[test]
-fn the_header_says_where_the_frame_comes_from() {
+fn the_header_names_the_source_of_the_frame() {
     let folder = Folder::new().depth(&["frame-000012.depth.png"]);
     let mut source = source(&folder, Config::default(), 0);
     let frame = source.recording.load(0).unwrap();
@@ -450,7 +450,7 @@ fn links_that_lead_nowhere_keep_their_places() {
 }
 
 #[test]
-fn only_when_no_frame_can_be_read_it_is_an_error() {
+fn a_recording_is_an_error_only_if_no_frame_can_be_read() {
     let folder = Folder::new().depth(&["0.png", "1.png"]);
     let mut source = source(&folder, Config::default(), 0);
     let error = anyhow::anyhow!("gone");
@@ -477,7 +477,7 @@ fn faults_of_the_parameters_are_found_without_opening() {
 }
 
 #[test]
-fn how_long_its_messages_are_is_known_before_it_starts() {
+fn the_length_of_its_messages_is_known_before_the_source_starts() {
     let folder = Folder::new().depth(&["0.png", "1.png"]);
     let config = |path: &str| Config { path: Some(path.into()), intrinsics: Some(GIVEN), ..Config::default() };
     let length = |config: &Config| ImageSource::message_length(config, folder.path.parent().unwrap());
@@ -496,7 +496,7 @@ fn how_long_its_messages_are_is_known_before_it_starts() {
 }
 
 #[test]
-fn intrinsics_of_another_resolution_are_seen() {
+fn intrinsics_of_another_resolution_are_recognised() {
     let camera = |cx, cy| Camera { width: 640, height: 480, fx: 500.0, fy: 500.0, cx, cy };
     assert!(!is_off_center(&camera(319.5, 239.5)) && !is_off_center(&camera(400.0, 180.0)));
     assert!(is_off_center(&camera(639.5, 359.5)), "of 1280x720");

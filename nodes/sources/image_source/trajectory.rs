@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn a_matrix_takes_the_camera_to_the_world() {
+    fn a_matrix_maps_the_camera_to_the_world() {
         let Ok(Trajectory::Single(Some(pose))) = parse(MATRIX) else { panic!() };
         assert_looks_along_x(&pose);
         let tabs = MATRIX.replace(' ', "\t ").replace('\n', " \r\n") + "\r\n";
@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn a_quaternion_takes_the_camera_to_the_world() {
+    fn a_quaternion_maps_the_camera_to_the_world() {
         let text = "# ground truth trajectory\n# timestamp tx ty tz qx qy qz qw\n7.5 4 5 6 0 0 0 1\n\
                     1305031098.6659 1 2 3 -0.5 0.5 -0.5 0.5\n";
         let Ok(Trajectory::Timed(poses)) = parse(text) else { panic!() };
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_told_with_its_line() {
+    fn faults_are_reported_with_their_line() {
         assert_eq!(told("\n# nothing\n"), "there is nothing in it");
         assert_eq!(told("one line\n"), "line 1, `one line`: 2 words, expected 3, 4 or 8 numbers");
         assert_eq!(told("1 0 0 0\n0 1 0 0\n"), "the matrix from line 1 on has 2 lines, expected 4");

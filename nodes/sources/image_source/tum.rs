@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn faults_are_told_with_their_line() {
+    fn faults_are_reported_with_their_line() {
         let told = |text: &str| format!("{:#}", parse(text).unwrap_err());
         let expected = "expected a time stamp in seconds and a file name";
         assert_eq!(told("1.0 a\n1.5"), format!("line 2, `1.5`: {expected}: there is no file name"));

@@ -26,7 +26,7 @@ fn frames_come_with_their_camera_stamp_and_numbers() {
 }
 
 #[test]
-fn what_the_parameters_say_has_the_last_word() {
+fn parameters_take_precedence_over_the_recording() {
     let intrinsics = Intrinsics { fx: 40.0, fy: 41.0, cx: 2.0, cy: 1.0 };
     let noise = Some(serde_json::from_value("ideal".into()).unwrap());
     let config = Config { depth_scale: Some(0.0002), intrinsics: Some(intrinsics), noise, ..Config::default() };
@@ -142,7 +142,7 @@ fn a_damaged_chunk_is_left_out_and_counted() {
 }
 
 #[test]
-fn a_chunk_that_its_check_sum_alone_shows_to_be_damaged_is_left_out_wherever_one_begins() {
+fn a_chunk_with_a_wrong_checksum_is_left_out_wherever_playback_begins() {
     let whole = play(&usual(None), Config::default()).unwrap();
     let mut damaged = usual(None);
     let image = write_units(stamped(3), SIZE, &pixels(3), Vec::new());
@@ -182,7 +182,7 @@ fn chunks(file: &[u8]) -> Vec<std::ops::Range<usize>> {
 }
 
 #[test]
-fn what_is_damaged_is_an_error_or_the_end_and_never_a_panic() {
+fn damage_is_an_error_or_the_end_and_never_a_panic() {
     let rounds = std::env::var("CONICFLOW_MUTATIONS").ok().and_then(|rounds| rounds.parse().ok()).unwrap_or(300);
     let mut random = fastrand::Rng::with_seed(1);
     for file in [usual(Some(Compression::Lz4)), with_zstd(&usual(None))] {
@@ -219,7 +219,7 @@ fn metres_become_units_of_the_finest_scale() {
 }
 
 #[test]
-fn what_is_too_far_away_is_counted() {
+fn pixels_that_are_too_far_are_counted() {
     let far = |z: f32| write_metres(stamped(0), SIZE, [z; 12].into_iter(), Vec::new());
     let half = write_metres(stamped(0), SIZE, (0..12).map(|pixel| 2.8 * pixel as f32), Vec::new());
     let file = Foreign::new(None).info(INFO).put(IMAGES, IMAGE, 0, &half).put(IMAGES, IMAGE, 1, &far(1500.0)).bytes();
@@ -287,7 +287,7 @@ fn of_several_topics_one_has_to_be_named() {
 }
 
 #[test]
-fn what_a_recording_cannot_play_is_known_before_it_is_played() {
+fn parameters_that_do_not_fit_the_recording_are_reported_before_it_is_played() {
     let faults = |bytes: &[u8], config: Config| {
         let place = RecordingFolder::of(bytes);
         let faults = Config { path: Some("run.mcap".into()), ..config }.faults(place.0.path());
@@ -309,7 +309,7 @@ fn what_a_recording_cannot_play_is_known_before_it_is_played() {
 }
 
 #[test]
-fn an_image_of_absurd_size_is_told_as_such() {
+fn an_image_of_absurd_size_is_reported_as_such() {
     let mut huge = write_units(stamped(0), SIZE, &pixels(0), Vec::new());
     // Height and width follow the stamp and the name of the frame.
     let at = huge.windows(8).position(|bytes| bytes == [3, 0, 0, 0, 4, 0, 0, 0]).unwrap();
@@ -323,7 +323,7 @@ fn an_image_of_absurd_size_is_told_as_such() {
 }
 
 #[test]
-fn a_recording_without_depth_tells_what_it_has() {
+fn the_error_of_a_recording_without_depth_lists_its_contents() {
     let other = Foreign::new(None).info(INFO).bytes();
     let text = told(&other, Config::default());
     assert!(
@@ -394,7 +394,7 @@ fn without_a_camera_there_are_no_frames() {
 }
 
 #[test]
-fn an_image_that_cannot_be_read_is_passed_over_and_counted() {
+fn an_unreadable_image_is_skipped_and_counted() {
     let mut file = Foreign::new(None);
     file.info(INFO).images(IMAGES, 0..2).put(IMAGES, IMAGE, 2, &[0, 1, 0, 0, 9]);
     file.put(IMAGES, IMAGE, 3, &write_units(stamped(3), (3, 4), &pixels(3), Vec::new())).images(IMAGES, 4..5);
@@ -409,7 +409,7 @@ fn an_image_that_cannot_be_read_is_passed_over_and_counted() {
 }
 
 #[test]
-fn what_cannot_be_read_at_the_beginning_is_passed_over_and_counted() {
+fn unreadable_messages_at_the_beginning_are_skipped_and_counted() {
     let none = Camera { width: 0, height: 0, fx: 0.0, fy: 0.0, cx: 0.0, cy: 0.0 };
     let unready = CameraInfo::write(stamped(0), &none, Vec::new());
     let cut = &write_units(stamped(0), SIZE, &pixels(0), Vec::new())[..60];
@@ -466,7 +466,7 @@ fn a_camera_that_changes_is_followed() {
 }
 
 #[test]
-fn a_transform_that_makes_no_sense_is_passed_over_and_counted() {
+fn an_invalid_transform_is_skipped_and_counted() {
     let pose = [[1.0, 0.0, 0.0, 0.5], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
     let fixed = write_transform(Stamped { stamp_ns: 0, frame_id: "map" }, "optical", &pose, Vec::new());
     let wrong = write_transform(Stamped { stamp_ns: 0, frame_id: "map" }, "arm", &[[f64::NAN; 4]; 3], Vec::new());
@@ -482,7 +482,7 @@ fn a_transform_that_makes_no_sense_is_passed_over_and_counted() {
 }
 
 #[test]
-fn a_file_whose_end_does_not_tell_all_its_topics_is_read_on() {
+fn a_file_whose_summary_lacks_topics_is_read_to_its_end() {
     let whole = play(&usual(None), Config::default()).unwrap();
     let complete = || mcap::WriteOptions::new().compression(None).chunk_size(Some(300));
     for options in [complete().repeat_channels(false), complete().repeat_channels(false).repeat_schemas(false)] {
@@ -496,7 +496,7 @@ fn a_file_whose_end_does_not_tell_all_its_topics_is_read_on() {
 }
 
 #[test]
-fn poses_come_from_tf_where_they_are_asked_for() {
+fn poses_are_taken_from_tf_if_they_are_requested() {
     let pose = |x: f64| [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
     let moved = |frame, x| {
         write_transform(Stamped { stamp_ns: stamp_ns(frame), frame_id: "map" }, "base", &pose(x), Vec::new())
@@ -516,7 +516,7 @@ fn poses_come_from_tf_where_they_are_asked_for() {
 }
 
 #[test]
-fn of_a_part_no_more_is_read_than_is_needed() {
+fn playing_a_part_reads_only_the_chunks_that_it_needs() {
     let file = Foreign::new(None).info(INFO).images(IMAGES, 0..9).bytes();
     let image = |frame| write_units(stamped(frame), SIZE, &pixels(frame), Vec::new());
     let at = |frame| file.windows(image(0).len()).position(|bytes| bytes == image(frame)).unwrap();
@@ -540,7 +540,7 @@ fn of_a_part_no_more_is_read_than_is_needed() {
 }
 
 #[test]
-fn a_part_is_played_and_played_again() {
+fn a_part_is_played_repeatedly() {
     let place = RecordingFolder::of(&usual(None));
     let part = Config { from_s: 0.1, to_s: Some(0.35), ..Config::default() };
     let stamps = |frames: &[(Header, Vec<u16>)]| {
@@ -573,7 +573,7 @@ fn a_part_is_played_and_played_again() {
 }
 
 #[test]
-fn a_folder_is_played_in_natural_order_and_other_formats_tell_how_they_are_converted() {
+fn a_folder_is_played_in_natural_order_and_other_formats_are_refused_with_their_conversion() {
     let place = RecordingFolder(tempfile::tempdir().unwrap());
     let folder = place.0.path().join("bag");
     fs::create_dir(&folder).unwrap();

@@ -166,14 +166,14 @@ fn device(events: &[Event]) -> Attempt {
 }
 
 #[test]
-fn images_come_without_the_gaps_between_their_rows() {
+fn images_are_delivered_without_the_gaps_between_their_rows() {
     let outcome = play(patient(), vec![device(&[Event::Image(1), Event::Silence, Event::Image(2)])]);
     assert_eq!(outcome.images, [(6, 1), (6, 2)]);
     assert!(outcome.counted.is_empty() && outcome.told.is_none() && outcome.refused.is_none());
 }
 
 #[test]
-fn a_camera_that_is_not_there_or_busy_is_waited_for() {
+fn a_missing_or_busy_camera_is_waited_for() {
     let nothing = || Attempt::Nothing;
     let outcome = play(patient(), vec![nothing(), nothing(), Attempt::Busy, device(&[Event::Image(1)])]);
     assert_eq!(outcome.images, [(6, 1)]);
@@ -181,7 +181,7 @@ fn a_camera_that_is_not_there_or_busy_is_waited_for() {
 }
 
 #[test]
-fn a_camera_that_is_unplugged_comes_back_also_with_another_size() {
+fn a_camera_that_is_unplugged_is_reopened_also_with_another_size() {
     let larger = Attempt::Device(z16(5, 4), vec![Event::Image(2)]);
     let first = device(&[Event::Image(1), Event::Unplugged]);
     let outcome = play(patient(), vec![first, Attempt::Nothing, Attempt::Nothing, larger]);
@@ -190,7 +190,7 @@ fn a_camera_that_is_unplugged_comes_back_also_with_another_size() {
 }
 
 #[test]
-fn a_camera_that_stalls_is_opened_anew() {
+fn a_camera_that_stalls_is_reopened() {
     let wanted = Wanted { stall: Duration::from_millis(20), ..Wanted::default() };
     let mut silent = vec![Event::Image(1)];
     silent.extend(vec![Event::Silence; 1000]);
@@ -200,7 +200,7 @@ fn a_camera_that_stalls_is_opened_anew() {
 }
 
 #[test]
-fn a_pipeline_without_room_is_no_stall() {
+fn a_slow_pipeline_is_not_taken_for_a_stalled_camera() {
     let script = Script::default();
     script.attempts.borrow_mut().push_back(device(&[Event::Image(1), Event::Silence, Event::Image(2)]));
     let wanted = Wanted { stall: Duration::from_secs(60), ..Wanted::default() };
@@ -214,7 +214,7 @@ fn a_pipeline_without_room_is_no_stall() {
 }
 
 #[test]
-fn what_is_no_whole_image_is_counted_and_passed_over() {
+fn incomplete_images_are_counted_and_skipped() {
     let events = [
         Event::Image(1),
         Event::Bytes(Vec::new()),
@@ -230,7 +230,7 @@ fn what_is_no_whole_image_is_counted_and_passed_over() {
 }
 
 #[test]
-fn the_format_is_one_with_depths_and_the_best() {
+fn the_best_format_with_depths_is_chosen() {
     let modes = vec![
         mode(DepthFormat::Y16, 8, 8),
         mode(DepthFormat::Inzi, 3, 2),
@@ -251,7 +251,7 @@ fn the_format_is_one_with_depths_and_the_best() {
 }
 
 #[test]
-fn grey_is_taken_for_depth_only_where_the_file_says_so() {
+fn grey_is_taken_for_depth_only_if_the_file_says_so() {
     let grey = || vec![Attempt::Device(vec![mode(DepthFormat::Y16, 3, 2)], vec![Event::Image(1)]), Attempt::Nothing];
     let outcome = play(Wanted { device: Some("depth camera".to_owned()), ..patient() }, grey());
     assert!(outcome.refused.unwrap().ends_with("; `format = \"y16\"` takes grey for depth"));
@@ -259,7 +259,7 @@ fn grey_is_taken_for_depth_only_where_the_file_says_so() {
 }
 
 #[test]
-fn a_device_that_sends_something_else_is_refused_at_first_and_waited_away_later() {
+fn a_device_that_sends_another_format_is_refused_at_the_start_and_waited_for_later() {
     let offered = || vec![mode(DepthFormat::Inzi, 3, 2), mode(DepthFormat::Z16, 3, 2)];
     let wrong = || Attempt::Device(offered(), vec![Event::Image(1)]);
     let wanted = || Wanted { format: Some(DepthFormat::Z16), ..patient() };

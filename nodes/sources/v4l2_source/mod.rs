@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_without_a_camera_ends_when_it_is_to_end() {
+    fn a_run_without_a_camera_can_be_stopped() {
         let context = Context::default();
         let stop = context.stop.clone();
         let ended = std::thread::spawn(|| {

@@ -58,7 +58,7 @@ fn believed(base: &Links) -> Option<u64> {
 }
 
 #[test]
-fn a_bridge_is_believed_when_it_has_heard_who_asks_and_sent_to_when_it_believes() {
+fn a_peer_is_believed_once_it_reports_this_bridge_and_sent_messages_once_it_believes_this_bridge() {
     let secret = secret();
     let (robot, base) = (robot(1, &secret), base(2, &secret));
     hear(&base, "robot", &[beat(&robot)]);
@@ -85,7 +85,7 @@ fn a_link_is_up_since_the_first_heartbeat_that_was_believed() {
 }
 
 #[test]
-fn what_an_earlier_start_of_a_bridge_has_said_is_not_believed_again() {
+fn replayed_heartbeats_of_an_earlier_session_are_not_believed() {
     let secret = secret();
     let first_base = base(10, &secret);
     let first_robot = robot(1, &secret);
@@ -111,7 +111,7 @@ fn what_an_earlier_start_of_a_bridge_has_said_is_not_believed_again() {
 }
 
 #[test]
-fn an_edge_is_finished_when_both_ends_know_it_also_to_those_who_are_started_anew() {
+fn an_edge_is_finished_when_both_ends_know_it_and_stays_so_after_restarts() {
     let (secret, robot_folder, base_folder) = (secret(), tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let start = |machine: &str, peer: &str, folder: &tempfile::TempDir, run: u64, number: u64| {
         let journal = Journal::open(Some(folder.path()), run, number);
@@ -166,7 +166,7 @@ fn rivals(links: &Links, peer: &str) -> [bool; 2] {
 }
 
 #[test]
-fn of_two_runs_of_a_machine_the_first_counts_while_it_is_heard_and_they_are_told_of() {
+fn of_two_runs_of_a_machine_the_first_counts_while_it_is_heard_and_both_are_reported() {
     let secret = secret();
     let robot = |run, session| links_of("robot", "base", Journal::open(None, run, session), &secret);
     let (first, second, base) = (robot(7, 3), robot(8, 2), base(1, &secret));
@@ -193,7 +193,7 @@ fn of_two_runs_of_a_machine_the_first_counts_while_it_is_heard_and_they_are_told
 }
 
 #[test]
-fn a_run_that_was_begun_anew_is_not_taken_for_a_second_one() {
+fn a_restarted_run_is_not_taken_for_a_second_run() {
     let secret = secret();
     let robot = |run, session| links_of("robot", "base", Journal::open(None, run, session), &secret);
     let (first, second, base) = (robot(7, 1), robot(8, 2), base(1, &secret));
@@ -218,7 +218,7 @@ fn forged(links: &Links, change: impl FnOnce(&mut Heartbeat)) -> Vec<u8> {
 }
 
 #[test]
-fn a_heartbeat_of_a_time_that_has_not_come_shuts_out_none_of_the_true_ones() {
+fn a_forged_heartbeat_from_the_future_does_not_block_genuine_ones() {
     let secret = secret();
     let sent_ns = |links: &Links, peer: &str| lock(&links.peers)[peer].samples[0].sent_ns;
     for both in [false, true] {
@@ -247,7 +247,7 @@ fn a_heartbeat_of_a_time_that_has_not_come_shuts_out_none_of_the_true_ones() {
 }
 
 #[test]
-fn a_heartbeat_that_tells_of_what_was_not_said_is_refused() {
+fn a_heartbeat_that_reports_one_that_was_never_sent_is_refused() {
     let secret = secret();
     let (robot, base) = (robot(1, &secret), base(2, &secret));
     talk(&robot, &base);
@@ -259,7 +259,7 @@ fn a_heartbeat_that_tells_of_what_was_not_said_is_refused() {
 }
 
 #[test]
-fn an_edge_that_somebody_else_has_said_to_be_finished_goes_on() {
+fn an_edge_that_a_third_party_declared_finished_goes_on() {
     let secret = secret();
     let (robot, base) = (robot(1, &secret), base(2, &secret));
     talk(&robot, &base);
@@ -271,7 +271,7 @@ fn an_edge_that_somebody_else_has_said_to_be_finished_goes_on() {
 }
 
 #[test]
-fn a_machine_that_an_earlier_process_has_heard_counts_as_heard_when_this_one_began() {
+fn a_machine_heard_by_an_earlier_process_counts_as_heard_at_the_start_of_this_one() {
     let (secret, folder) = (secret(), tempfile::tempdir().unwrap());
     let robot = |number| links_of("robot", "base", Journal::open(Some(folder.path()), 7, number), &secret);
     let first = robot(1);
@@ -283,7 +283,7 @@ fn a_machine_that_an_earlier_process_has_heard_counts_as_heard_when_this_one_beg
 }
 
 #[test]
-fn a_machine_is_silent_since_somebody_waits_for_it_or_since_the_beginning_where_it_was_never_heard() {
+fn silence_counts_from_the_start_of_waiting_or_for_a_machine_never_heard_from_the_start_of_the_process() {
     let secret = secret();
     let (mut robot, base, hour) = (robot(1, &secret), base(2, &secret), Duration::from_secs(3600));
     robot.started = Instant::now().checked_sub(hour).unwrap();
@@ -296,7 +296,7 @@ fn a_machine_is_silent_since_somebody_waits_for_it_or_since_the_beginning_where_
 }
 
 #[test]
-fn repeated_heartbeats_do_not_keep_the_present_session_from_being_told_of() {
+fn replayed_heartbeats_do_not_displace_the_present_session_from_the_reports() {
     let secret = secret();
     let base = base(100, &secret);
     let recorded: Vec<_> = (1..8).flat_map(|number| talk(&robot(number, &secret), &self::base(99, &secret))).collect();
@@ -307,7 +307,7 @@ fn repeated_heartbeats_do_not_keep_the_present_session_from_being_told_of() {
 }
 
 #[test]
-fn a_machine_with_another_pipeline_file_is_told_from_one_with_the_same() {
+fn a_machine_with_another_pipeline_file_is_distinguished_from_one_with_the_same() {
     let secret = secret();
     let to_base = |delivery| edge(delivery, "reader");
     let to_arm =
@@ -329,7 +329,7 @@ fn a_machine_with_another_pipeline_file_is_told_from_one_with_the_same() {
 }
 
 #[test]
-fn the_news_are_how_far_each_edge_was_received_last() {
+fn the_news_holds_the_last_acknowledgement_of_each_edge() {
     let links = base(1, &secret());
     let ack = |topic: &str, next| Ack { from: "robot".to_owned(), topic: topic.to_owned(), next, ..Ack::default() };
     [ack("objects", 1), ack("tracks", 1), ack("objects", 2)].into_iter().for_each(|ack| links.received(ack));
@@ -337,7 +337,7 @@ fn the_news_are_how_far_each_edge_was_received_last() {
 }
 
 #[test]
-fn the_quickest_exchange_of_heartbeats_tells_round_trip_and_clock() {
+fn the_quickest_exchange_of_heartbeats_gives_round_trip_and_clock_offset() {
     let secret = secret();
     let (robot, base) = (robot(1, &secret), base(2, &secret));
     assert_eq!((robot.round_trip("base"), robot.clock_offset("base")), (None, None));
@@ -359,7 +359,7 @@ fn a_machine_is_connected_until_it_has_been_silent_for_long() {
 }
 
 #[test]
-fn a_machine_that_has_not_come_after_a_while_is_missed_unless_it_was_heard_or_refused() {
+fn a_machine_that_does_not_appear_in_time_is_reported_missing_unless_it_was_heard_or_refused() {
     let is_missed = |waited: Duration, peer: Peer| {
         let mut links = robot(1, &secret());
         links.started = Instant::now().checked_sub(waited).unwrap();
@@ -375,7 +375,7 @@ fn a_machine_that_has_not_come_after_a_while_is_missed_unless_it_was_heard_or_re
 }
 
 #[test]
-fn a_machine_is_shown_as_refused_as_long_as_what_comes_in_its_name_is() {
+fn a_machine_is_shown_as_refused_as_long_as_messages_in_its_name_are() {
     let links = robot(1, &secret());
     let is_refused = || links.look()["base"].refused;
     assert!(!is_refused());
@@ -386,7 +386,7 @@ fn a_machine_is_shown_as_refused_as_long_as_what_comes_in_its_name_is() {
 }
 
 #[test]
-fn a_machine_whose_messages_are_laid_out_otherwise_is_refused() {
+fn a_machine_with_another_message_layout_is_refused() {
     let secret = secret();
     let (robot, base) = (robot(1, &secret), base(2, &secret));
     let theirs = "conicflow.Header.v1".to_owned();
@@ -400,7 +400,7 @@ fn a_machine_whose_messages_are_laid_out_otherwise_is_refused() {
 }
 
 #[test]
-fn a_forged_heartbeat_changes_nothing_and_is_told() {
+fn a_forged_heartbeat_changes_nothing_and_is_reported() {
     let secrets = [secret(), secret()];
     let base = base(10, &secrets[0]);
     let present = robot(1, &secrets[0]);

@@ -258,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn faults_are_told_with_their_line() {
+    fn faults_are_reported_with_their_line() {
         let told_for = |from: &str, to: &str| told(&GOOD.replace(from, to));
         assert_eq!(told_for("WIDTH 4", "WIDTH 4x"), "line 7, `WIDTH 4x`: `4x` is no whole number");
         assert_eq!(told_for("WIDTH 4", "WIDTH"), "line 7, `WIDTH`: a number is missing");
@@ -276,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn sizes_that_cannot_be_are_refused() {
+    fn impossible_sizes_are_refused() {
         let huge = GOOD.replace("WIDTH 4", "WIDTH 4294967295").replace("HEIGHT 3", "HEIGHT 4294967295");
         assert!(told(&huge).contains("more than the"));
         let wraps = GOOD.replace("WIDTH 4", "WIDTH 9223372036854775809").replace("HEIGHT 3", "HEIGHT 2");

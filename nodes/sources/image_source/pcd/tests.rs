@@ -53,7 +53,7 @@ fn whole_numbers_of_every_size_are_read() {
 }
 
 #[test]
-fn a_file_cut_off_anywhere_is_told_and_never_panics() {
+fn a_file_cut_off_anywhere_is_an_error_and_never_a_panic() {
     let expected = points(&depth_m());
     for encoding in ENCODINGS {
         let file = pcd_file(&expected, MIXED, encoding);
@@ -78,7 +78,7 @@ fn damaged_bytes_never_panic() {
 }
 
 #[test]
-fn text_that_is_no_points_is_told_with_its_line() {
+fn text_that_is_no_points_is_reported_with_its_line() {
     let file = String::from_utf8(pcd_file(&points(&depth_m()), XYZ, "ascii")).unwrap();
     let mut lines: Vec<_> = file.lines().collect();
     lines[12] = "1.0 2.0";
@@ -91,7 +91,7 @@ fn text_that_is_no_points_is_told_with_its_line() {
 }
 
 #[test]
-fn fields_that_are_missing_or_odd_are_told() {
+fn missing_and_unsuitable_fields_are_reported() {
     let flat = pcd_file(&points(&depth_m()), &[("x", 'F', 4, 1), ("y", 'F', 4, 1), ("rgb", 'F', 4, 1)], "binary");
     assert_eq!(told(&flat), "FIELDS x y rgb, expected x, y and z among them");
     let twice = pcd_file(&points(&depth_m()), &[("x", 'F', 4, 2), ("y", 'F', 4, 1), ("z", 'F', 4, 1)], "binary");
@@ -110,7 +110,7 @@ fn no_memory_is_taken_for_points_that_the_file_cannot_hold() {
 }
 
 #[test]
-fn compressed_lengths_that_lie_are_told() {
+fn wrong_compressed_lengths_are_reported() {
     let file = pcd_file(&points(&depth_m()), XYZ, "binary_compressed");
     let at = Header::parse(&file).unwrap().data_offset;
     let mut lies = file.clone();
