@@ -44,7 +44,7 @@ mod tests {
     fn a_restart_is_refused_and_the_first_start_is_not() {
         assert!(refuse_restart(&Context::default(), "counted").is_ok());
         let context = Context { resume_at: 3, ..Context::default() };
-        let told = refuse_restart(&context, "counted").unwrap_err().to_string();
-        assert!(told.starts_with("what was counted before") && told.contains("\n  hint: "), "{told}");
+        let error = refuse_restart(&context, "counted").unwrap_err().to_string();
+        assert!(error.starts_with("what was counted before") && error.contains("\n  hint: "), "{error}");
     }
 }

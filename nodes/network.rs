@@ -32,8 +32,8 @@ pub(crate) fn program() -> Result<PathBuf, Hinted> {
     let program: PathBuf = match std::env::var_os(BRIDGE_PROGRAM) {
         Some(program) => program.into(),
         None => {
-            let here = std::env::current_exe();
-            here.map_err(|error| fault(&format!("this program cannot be found: {error}")))?.with_file_name(NAME)
+            let own_program = std::env::current_exe();
+            own_program.map_err(|error| fault(&format!("this program cannot be found: {error}")))?.with_file_name(NAME)
         }
     };
     // A name without a folder is searched for in PATH.

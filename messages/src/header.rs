@@ -317,9 +317,9 @@ mod tests {
             assert!(spoilt.check("depth").is_err());
         }
         header.camera.height = MAX_SIDE_PX + 1;
-        let told =
+        let expected =
             "malformed depth: an image of 2x16385 pixels, allowed are 1 to 16384 along a side and 67108864 in all";
-        assert_eq!(header.check("depth").map_err(|error| error.to_string()), Err(told.to_owned()));
+        assert_eq!(header.check("depth").map_err(|error| error.to_string()), Err(expected.to_owned()));
     }
 
     #[test]
@@ -338,8 +338,8 @@ mod tests {
         let scaled = turned.map(|row| row.map(|number| 1.01 * number));
         let sheared = [[1.0, 0.0, 0.0], [0.01, 1.0, 0.0], [0.0, 0.0, 1.0]];
         for rows in [[[0.0; 3]; 3], mirrored, scaled, sheared] {
-            let told = check(HAS_POSE, rows).unwrap_err().to_string();
-            assert_eq!(told, "malformed depth: a camera pose that is no rotation", "{rows:?}");
+            let error = check(HAS_POSE, rows).unwrap_err().to_string();
+            assert_eq!(error, "malformed depth: a camera pose that is no rotation", "{rows:?}");
         }
         assert_eq!(check(0, [[0.0; 3]; 3]), Ok(()));
     }

@@ -340,8 +340,8 @@ mod tests {
             assert_eq!(layout(&[("field", text)]).unwrap_err().what, "an item of more than 65536 bytes", "{text}");
         }
         for name in ["", "Width", "2nd", "a-b", "a b", &"a".repeat(64)] {
-            let told = layout(&[(name, "f64")]).unwrap_err().what;
-            assert_eq!(told, format!("`{name}` cannot be the name of a field"));
+            let fault = layout(&[(name, "f64")]).unwrap_err().what;
+            assert_eq!(fault, format!("`{name}` cannot be the name of a field"));
         }
         assert!(layout(&[(&"a".repeat(63), "f64")]).is_ok());
         assert_eq!(layout(&[("a", "f64"), ("a", "f64")]).unwrap_err().what, "there are two fields `a`");
@@ -370,10 +370,10 @@ mod tests {
             checked.map_err(|error| error.to_string())
         };
         assert_eq!(check(|_| {}), Ok(()));
-        let told = |fault: &str| Err(format!("malformed grasps: item 1 has a `{fault}"));
-        assert_eq!(check(|item| item.position[2] = f64::NAN), told("position` that is not finite"));
-        assert_eq!(check(|item| item.width = f32::INFINITY), told("width` that is not finite"));
-        assert_eq!(check(|item| item.label = bytemuck::cast([0xff_u8; 6])), told("label` that is no text"));
+        let refused = |fault: &str| Err(format!("malformed grasps: item 1 has a `{fault}"));
+        assert_eq!(check(|item| item.position[2] = f64::NAN), refused("position` that is not finite"));
+        assert_eq!(check(|item| item.width = f32::INFINITY), refused("width` that is not finite"));
+        assert_eq!(check(|item| item.label = bytemuck::cast([0xff_u8; 6])), refused("label` that is no text"));
         let cut = layout.check("grasps", &bytes_of(&grasp())[1..]);
         assert_eq!(cut.unwrap_err().to_string(), "malformed grasps: 47 bytes, an item has 48");
     }

@@ -88,8 +88,8 @@ mod tests {
             (Track { velocity_covariance: covariance, ..good }, Some("has a velocity that is not finite")),
             (Track { object: negative, ..good }, Some("has a negative size")),
         ] {
-            let told = fault.map_or(Ok(()), |fault| Err(format!("malformed tracks: item 0 {fault}")));
-            assert_eq!(Track::check(&Header::default(), &[track]).map_err(|error| error.to_string()), told);
+            let expected = fault.map_or(Ok(()), |fault| Err(format!("malformed tracks: item 0 {fault}")));
+            assert_eq!(Track::check(&Header::default(), &[track]).map_err(|error| error.to_string()), expected);
         }
     }
 

@@ -78,8 +78,8 @@ mod tests {
         let check =
             |velocity| Velocity::check(&Header::default(), &[good, velocity]).map_err(|error| error.to_string());
         assert_eq!(check(Velocity { frame: Frame::World.code(), ..good }), Ok(()));
-        let told = check(Velocity { frame: 7, ..good });
-        assert_eq!(told, Err("malformed velocities: item 1 is in no known frame".into()));
+        let result = check(Velocity { frame: 7, ..good });
+        assert_eq!(result, Err("malformed velocities: item 1 is in no known frame".into()));
         for spoilt in
             [Velocity { linear: [0.0, f64::NAN, 0.0], ..good }, Velocity { angular: [f64::INFINITY, 0.0, 0.0], ..good }]
         {

@@ -68,7 +68,7 @@ struct Metrics {
 impl Answer for Metrics {
     fn answer(&self, request: &Request) -> Response {
         match (request.method.as_str(), request.path.as_str()) {
-            ("GET", PATH) => self.told(),
+            ("GET", PATH) => self.text_response(),
             ("GET", _) => Response::refusal(404, "there is nothing here; the metrics are at /metrics"),
             _ => Response::refusal(405, "this is not done here"),
         }
@@ -76,7 +76,7 @@ impl Answer for Metrics {
 }
 
 impl Metrics {
-    fn told(&self) -> Response {
+    fn text_response(&self) -> Response {
         let mut last = lock(&self.last);
         if let Some((_, text)) = last.as_ref().filter(|(since, _)| since.elapsed() < FRESH) {
             return Response::new(200, KIND, text.clone().into_bytes());
@@ -173,8 +173,8 @@ impl Families<'_> {
         )?;
         let silent = living.clone().map(|(stage, usage)| (of_stage(stage), usage.silent.as_secs_f64()));
         self.gauge("silent", "Time since the stage's last sign of life", Some(Unit::Seconds), silent)?;
-        let waits = |stage: &StageRecord| f64::from(!stage.status.waits_for.to_string().is_empty());
-        let waiting = living.map(|(stage, _)| (of_stage(stage), waits(stage)));
+        let is_waiting = |stage: &StageRecord| f64::from(!stage.status.waits_for.to_string().is_empty());
+        let waiting = living.map(|(stage, _)| (of_stage(stage), is_waiting(stage)));
         self.gauge("waiting", "Whether the stage waits for another to take its messages", None, waiting)
     }
 

@@ -1,6 +1,6 @@
 //! `conicflow record`: records topics of a running pipeline, as an onlooker for which no stage waits.
 
-use super::invocation::say;
+use super::invocation::write_to_stderr;
 use super::topic::PipelineName;
 use crate::NODES;
 use crate::recording::files::is_recording;
@@ -92,7 +92,7 @@ pub fn record(arguments: &RecordArguments) -> Result<()> {
     // Messages before an error are kept.
     let bytes = recorder.finish();
     watched.context("recording")?;
-    say(tally.text(bytes?));
+    write_to_stderr(tally.text(bytes?));
     Ok(())
 }
 

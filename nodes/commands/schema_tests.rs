@@ -93,7 +93,7 @@ fn faults_do_not_fit_the_schema() {
 #[test]
 fn faults_are_reported_with_their_key() {
     let unexpected = |key: &str| format!("Additional properties are not allowed ('{key}' was unexpected)");
-    for (place, value, within, told) in [
+    for (place, value, within, expected) in [
         ("source/rate", json!(15.0), "source", unexpected("rate")),
         ("source/width", json!("wide"), "source/width", "\"wide\" is not of type \"integer\"".into()),
         (
@@ -111,7 +111,7 @@ fn faults_are_reported_with_their_key() {
         ),
         ("other/output", json!("depth"), "other", "\"node\" is a required property".into()),
     ] {
-        expect_fault(place, value, within, &told);
+        expect_fault(place, value, within, &expected);
     }
 }
 
@@ -125,10 +125,10 @@ fn faults_within_a_choice_are_reported_with_their_key() {
         ("sensor", json!({ "stereo": { "baseline_m": 0.05 } })),
         ("restart", json!({ "when": "never", "hang_s": 5, "join_s": 5 })),
     ] {
-        let told = faults("/stage/source", key, value.clone());
-        assert!(told.is_empty(), "{key} = {value}: {told:#?}");
+        let reported = faults("/stage/source", key, value.clone());
+        assert!(reported.is_empty(), "{key} = {value}: {reported:#?}");
     }
-    for (key, value, within, told) in [
+    for (key, value, within, expected) in [
         ("noise", json!("kinect"), "noise", "\"kinect\" is not one of \"kinect_v1\", "),
         ("noise", json!(3), "noise", "3 is not of types \"string\", \"object\""),
         ("noise", json!({ "floor": 0.001 }), "noise", "Additional properties are not allowed ('floor' was unexpected)"),
@@ -153,18 +153,18 @@ fn faults_within_a_choice_are_reported_with_their_key() {
         ("restart", json!({ "hang": 5 }), "restart", "Additional properties are not allowed ('hang' was unexpected)"),
         ("restart", json!({ "hang_s": 0 }), "restart/hang_s", "0 is less than the minimum of 1"),
     ] {
-        expect_fault(&format!("source/{key}"), value, &format!("source/{within}"), told);
+        expect_fault(&format!("source/{key}"), value, &format!("source/{within}"), expected);
     }
 }
 
 /// Expects one fault, at its place, for a stage whose key has this value.
-fn expect_fault(place: &str, value: Json, within: &str, told: &str) {
+fn expect_fault(place: &str, value: Json, within: &str, expected: &str) {
     let (stage, key) = place.split_once('/').unwrap();
-    let told_all = match stage {
+    let reported = match stage {
         "other" => faults("/stage", stage, json!({ key: value })),
         _ => faults(&format!("/stage/{stage}"), key, value),
     };
-    assert!(told_all.len() == 1 && told_all[0].starts_with(&format!("/stage/{within}: {told}")), "{told_all:#?}");
+    assert!(reported.len() == 1 && reported[0].starts_with(&format!("/stage/{within}: {expected}")), "{reported:#?}");
 }
 
 #[test]

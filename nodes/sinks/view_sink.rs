@@ -106,11 +106,13 @@ fn show_graph(shown: &Weak<Display>) {
         looked = Instant::now();
         if display.is_watched() {
             let own = std::process::id();
-            if let Some((graph, sources)) = watch.look(|seen| seen.stages.iter().any(|stage| stage.process == own)) {
+            if let Some((graph, sources)) =
+                watch.observe_graph(|seen| seen.stages.iter().any(|stage| stage.process == own))
+            {
                 let name = graph["activity"]["pipeline"].as_str().unwrap_or_default().to_owned();
                 pipeline = Some(name.clone());
-                display.tell(|about| (about.title, about.graph) = (name, graph));
-                pausing::tell(sources, &display);
+                display.change_about(|about| (about.title, about.graph) = (name, graph));
+                pausing::show_run(sources, &display);
             }
         } else {
             watch.rest();

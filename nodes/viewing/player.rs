@@ -141,7 +141,7 @@ impl Player {
         let other = against.map(|against| Lists::open(against, key_elsewhere)?.ok_or_else(|| no_lists(against)));
         let (begin_ns, end_ns) = Files::find(path)?.span_ns()?.unwrap_or_default();
         let names: Vec<_> = [Some(path), against].into_iter().flatten().map(name_of).collect();
-        display.tell(|about| {
+        display.change_about(|about| {
             about.title = names.join(" | ");
             about.notice.clone_from(&notice);
             about.variants = if against.is_some() { names } else { Vec::new() };
@@ -179,9 +179,9 @@ impl Player {
     /// Pauses where the recording cannot be read; the error stays on the page until it can be read again.
     fn stop_at(&mut self, error: &Error) {
         tracing::warn!("{error:#}");
-        self.display.tell(|about| about.notice = Some(format!("{error:#}")));
+        self.display.change_about(|about| about.notice = Some(format!("{error:#}")));
         self.plays = false;
-        self.tell();
+        self.publish_state();
     }
 
     /// Obeys the next command, makes a step, shows the next frame if it is due, or waits for a while.
@@ -195,7 +195,7 @@ impl Player {
             self.step()?;
         } else if due.is_some_and(|due| due <= Instant::now()) && !self.advance()? {
             self.plays = false;
-            self.tell();
+            self.publish_state();
         }
         Ok(())
     }
@@ -240,7 +240,7 @@ impl Player {
             Command::Speed { factor } => self.speed = factor.clamp(SPEEDS.0, SPEEDS.1),
             Command::Pipeline { .. } | Command::DepthTopic { .. } => {}
         }
-        self.tell();
+        self.publish_state();
         Ok(())
     }
 
@@ -335,13 +335,13 @@ impl Player {
             frame.compared = Some(compare(&frame.list, list(other.replay.item(), &replayed)));
         }
         // The position goes to the page together with the frame.
-        self.tell();
-        self.display.tell(|about| about.notice.clone_from(&self.notice));
+        self.publish_state();
+        self.display.change_about(|about| about.notice.clone_from(&self.notice));
         self.display.show(frame);
         Ok(())
     }
 
-    fn tell(&self) {
+    fn publish_state(&self) {
         let seconds = |ns: u64| ns.saturating_sub(self.begin_ns) as f64 * 1e-9;
         let (at_s, length_s) = (seconds(self.at_ns), seconds(self.end_ns));
         self.display.publish_player(PlayerState { at_s, length_s, plays: self.plays, speed: self.speed });
@@ -428,7 +428,7 @@ mod tests {
         let (notice, display) = (player.notice.clone(), Arc::clone(&player.display));
         let noticed = || {
             let mut noticed = None;
-            display.tell(|about| noticed.clone_from(&about.notice));
+            display.change_about(|about| noticed.clone_from(&about.notice));
             noticed
         };
         fs::rename(&second, &away).unwrap();

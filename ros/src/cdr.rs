@@ -292,15 +292,15 @@ mod tests {
 
     #[test]
     fn impossible_lengths_are_refused() {
-        let told = |message: &[u8]| {
+        let error = |message: &[u8]| {
             Reader::new(message).and_then(|mut reader| reader.text().map(str::to_owned)).unwrap_err().to_string()
         };
-        assert_eq!(told(&[0, 1]), "2 bytes, which is no message");
-        assert_eq!(told(&[0, 7, 0, 0, 1]), "encapsulation 0x00 0x07, expected plain CDR (0x00 0x00 or 0x00 0x01)");
+        assert_eq!(error(&[0, 1]), "2 bytes, which is no message");
+        assert_eq!(error(&[0, 7, 0, 0, 1]), "encapsulation 0x00 0x07, expected plain CDR (0x00 0x00 or 0x00 0x01)");
         assert_eq!(
-            told(&[0, 1, 0, 0, 0xff, 0xff, 0xff, 0xff]),
+            error(&[0, 1, 0, 0, 0xff, 0xff, 0xff, 0xff]),
             "the message ends after 8 bytes, expected 4294967295 more from byte 8"
         );
-        assert_eq!(told(&[0, 1, 0, 0, 2, 0, 0, 0, 0xff, 0]), "a text that is not UTF-8");
+        assert_eq!(error(&[0, 1, 0, 0, 2, 0, 0, 0, 0xff, 0]), "a text that is not UTF-8");
     }
 }

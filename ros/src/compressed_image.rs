@@ -171,14 +171,14 @@ mod tests {
 
     #[test]
     fn malformed_images_are_refused() {
-        let told = |format: &str, image: &[u8]| depths(&message(format, [0.0; 2], image)).unwrap_err().to_string();
-        assert!(told("jpeg", &grey()).starts_with("the format is `jpeg`, expected `16UC1` or `32FC1`"));
-        assert!(told("16UC1; compressedDepth zip", &grey()).starts_with("the format is `16UC1; compressedDepth zip`"));
-        assert!(told("16UC1; compressedDepth", &grey()[..50]).starts_with("the PNG in it: "));
+        let error = |format: &str, image: &[u8]| depths(&message(format, [0.0; 2], image)).unwrap_err().to_string();
+        assert!(error("jpeg", &grey()).starts_with("the format is `jpeg`, expected `16UC1` or `32FC1`"));
+        assert!(error("16UC1; compressedDepth zip", &grey()).starts_with("the format is `16UC1; compressedDepth zip`"));
+        assert!(error("16UC1; compressedDepth", &grey()[..50]).starts_with("the PNG in it: "));
         let colour = png_of(ColorType::Rgb, BitDepth::Eight, &[0; 18]);
-        assert!(told("16UC1; compressedDepth", &colour).starts_with("a PNG of Eight bits Rgb in it"));
-        assert_eq!(told("16UC1; compressedDepth rvl", &[1; 5]), "5 bytes of RVL, expected the size and an image");
-        assert!(told("16UC1; compressedDepth rvl", &[0xff; 12]).starts_with("an image of 4294967295x4294967295"));
-        assert!(told("16UC1; compressedDepth rvl", &rvl_of()[..12]).starts_with("the RVL code is broken after"));
+        assert!(error("16UC1; compressedDepth", &colour).starts_with("a PNG of Eight bits Rgb in it"));
+        assert_eq!(error("16UC1; compressedDepth rvl", &[1; 5]), "5 bytes of RVL, expected the size and an image");
+        assert!(error("16UC1; compressedDepth rvl", &[0xff; 12]).starts_with("an image of 4294967295x4294967295"));
+        assert!(error("16UC1; compressedDepth rvl", &rvl_of()[..12]).starts_with("the RVL code is broken after"));
     }
 }

@@ -264,18 +264,18 @@ mod tests {
 
     #[test]
     fn an_image_without_depths_is_refused() {
-        let told = |message: &[u8]| depths(message).unwrap_err().to_string();
-        assert!(told(&message("rgb8", false, 9, &[0; 18])).starts_with("pixels are `rgb8`, expected `16UC1`"));
+        let error = |message: &[u8]| depths(message).unwrap_err().to_string();
+        assert!(error(&message("rgb8", false, 9, &[0; 18])).starts_with("pixels are `rgb8`, expected `16UC1`"));
         let short = "13 bytes of pixels in rows of 8, expected 3x2 pixels of 2 bytes";
-        assert_eq!(told(&message("16UC1", false, 8, &[0; 13])), short);
-        assert!(told(&message("16UC1", false, 5, &[0; 12])).contains("in rows of 5"));
-        assert!(told(&message("16UC1", false, 0, &[0; 12])).contains("in rows of 0"));
+        assert_eq!(error(&message("16UC1", false, 8, &[0; 13])), short);
+        assert!(error(&message("16UC1", false, 5, &[0; 12])).contains("in rows of 5"));
+        assert!(error(&message("16UC1", false, 0, &[0; 12])).contains("in rows of 0"));
         let mut huge = message("16UC1", false, 6, &[0; 12]);
         let at = 4 + 8 + 4 + 7 + 1;
         assert_eq!(&huge[at..at + 8], [2, 0, 0, 0, 3, 0, 0, 0]);
         huge[at + 2] = 0xff;
-        assert!(told(&huge).starts_with("an image of 3x16711682 pixels"));
+        assert!(error(&huge).starts_with("an image of 3x16711682 pixels"));
         huge[at..at + 4].fill(0);
-        assert!(told(&huge).starts_with("an image of 3x0 pixels"));
+        assert!(error(&huge).starts_with("an image of 3x0 pixels"));
     }
 }

@@ -38,8 +38,8 @@ fn colored_points<T: Marked>(item: &T) -> Vec<[f32; 4]> {
     let object = item.object();
     let mut points = surface(object);
     if let Some(velocity) = item.velocity() {
-        let (center, way) = (Vector3::from(object.center), AHEAD_S * Vector3::from(velocity));
-        points.extend((0..=STEPS).map(|step| center + step as f64 / STEPS as f64 * way));
+        let (center, path) = (Vector3::from(object.center), AHEAD_S * Vector3::from(velocity));
+        points.extend((0..=STEPS).map(|step| center + step as f64 / STEPS as f64 * path));
     }
     let bytes = color(object.shape()).map(|part| u32::from((255.0 * part) as u8));
     let rgb = f32::from_bits(bytes.into_iter().fold(0, |color, byte| color << 8 | byte));

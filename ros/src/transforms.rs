@@ -228,8 +228,8 @@ mod tests {
         let mut message = write_transform(Stamped { stamp_ns: 0, frame_id: "map" }, "base", &NONE, Vec::new());
         let length = message.len();
         message[length - 8..].copy_from_slice(&2.0_f64.to_le_bytes());
-        let told = Transforms::default().add(&message, false).unwrap_err().to_string();
-        assert_eq!(told, "the transform of `base` in `map` is none");
+        let error = Transforms::default().add(&message, false).unwrap_err().to_string();
+        assert_eq!(error, "the transform of `base` in `map` is none");
         let many = Writer::new(Vec::new()).u32(1 << 20).clone().finish();
         assert_eq!(Transforms::default().add(&many, false).unwrap_err().to_string(), "1048576 transforms in a message");
     }

@@ -155,8 +155,8 @@ fn add_second_variant(items: &mut Vec<Json>, compared: &Compared, camera: &Camer
 }
 
 /// The JSON of an item, with its outline in the image and the covariance of its centre.
-fn item(told: impl serde::Serialize, object: &Object, camera: &Camera) -> Json {
-    let mut json = serde_json::to_value(told).unwrap_or_default();
+fn item(value: impl serde::Serialize, object: &Object, camera: &Camera) -> Json {
+    let mut json = serde_json::to_value(value).unwrap_or_default();
     let mut segments = Vec::new();
     trace(object, camera, &mut segments);
     json["covariance"] = json!(object.sigma.center);
@@ -232,10 +232,10 @@ mod tests {
         let list = List::Objects(vec![ball(0.3), ball(0.0)]);
         let compared = Some(Compared { list: List::Objects(vec![ball(0.02), ball(0.9)]), pairs: vec![pair] });
         let json = Frame { list, compared, ..frame() }.to_json(1);
-        let told =
+        let values =
             |key: &str| json["items"].as_array().unwrap().iter().map(|item| item[key].clone()).collect::<Vec<_>>();
-        assert_eq!(told("variant"), ["a", "a", "b", "b"]);
-        assert_eq!(told("pair"), [Json::Null, json!(2), json!(1), Json::Null]);
+        assert_eq!(values("variant"), ["a", "a", "b", "b"]);
+        assert_eq!(values("pair"), [Json::Null, json!(2), json!(1), Json::Null]);
         assert_eq!(json["items"][1]["difference"], json!({ "position_m": 0.02, "radius_m": -0.001 }));
         assert_eq!(json["items"][2]["center"][0], 0.02);
     }

@@ -171,8 +171,8 @@ impl Canvas {
     }
 
     /// Draws text with its upper left corner at `(left, top)`; characters missing in the font become question marks.
-    pub(super) fn text(&mut self, (left, top): (i64, i64), text: &str, look: (Size, bool, Colour, f64)) {
-        let (size, is_bold, colour, opacity) = look;
+    pub(super) fn text(&mut self, (left, top): (i64, i64), text: &str, style: (Size, bool, Colour, f64)) {
+        let (size, is_bold, colour, opacity) = style;
         let weight = if is_bold { FontWeight::Bold } else { FontWeight::Regular };
         let mut x = left;
         for sign in text.chars() {

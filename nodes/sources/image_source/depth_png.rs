@@ -121,16 +121,17 @@ mod tests {
 
     #[test]
     fn an_image_without_depths_is_refused() {
-        let told = |file: &[u8], size| format!("{:#}", decode(file, size, &mut [0; 12]).unwrap_err());
+        let error = |file: &[u8], size| format!("{:#}", decode(file, size, &mut [0; 12]).unwrap_err());
         let good = png16(4, 3, &(0..12).map(|i| i * 4001).collect::<Vec<_>>());
         let rgb = png_bytes(4, 3, ColorType::Rgb, BitDepth::Eight, &[9; 36]);
         assert!(
-            told(&rgb, (4, 3)).starts_with("this is no depth image (8-bit colour PNG), expected 16-bit grey\n  hint: ")
+            error(&rgb, (4, 3))
+                .starts_with("this is no depth image (8-bit colour PNG), expected 16-bit grey\n  hint: ")
         );
-        assert_eq!(told(&good, (4, 2)), "4x3 pixels, expected 4x2");
-        assert!(told(&good[..good.len() - 20], (4, 3)).starts_with("the pixels of the PNG: "));
-        assert!(told(&good[..20], (4, 3)).starts_with("the header of the PNG: "));
-        assert!(told(b"no PNG at all", (4, 3)).starts_with("the header of the PNG: "));
+        assert_eq!(error(&good, (4, 2)), "4x3 pixels, expected 4x2");
+        assert!(error(&good[..good.len() - 20], (4, 3)).starts_with("the pixels of the PNG: "));
+        assert!(error(&good[..20], (4, 3)).starts_with("the header of the PNG: "));
+        assert!(error(b"no PNG at all", (4, 3)).starts_with("the header of the PNG: "));
     }
 
     #[test]
@@ -143,8 +144,8 @@ mod tests {
         let mut writer = encoder.write_header().unwrap();
         (0..2).for_each(|_| writer.write_image_data(&[7; 24]).unwrap());
         writer.finish().unwrap();
-        let told = format!("{:#}", decode(&file, (4, 3), &mut [0; 12]).unwrap_err());
-        assert_eq!(told, "it has 2 frames, of which one would be read\n  hint: write a file for each frame");
+        let error = format!("{:#}", decode(&file, (4, 3), &mut [0; 12]).unwrap_err());
+        assert_eq!(error, "it has 2 frames, of which one would be read\n  hint: write a file for each frame");
     }
 
     #[test]

@@ -58,12 +58,12 @@ impl Source for ImageSource {
 
     fn new(config: Config, context: &Context) -> Result<Self, StageError> {
         let counted = context.counted.get(UNREADABLE).copied().unwrap_or(0);
-        let mut told = Instant::now();
+        let mut last_logged = Instant::now();
         let mut progress = |seen: usize, all: usize| {
             // The call shows the launcher that the stage is alive.
             context.stop.requested();
-            if told.elapsed() > TELL {
-                told = Instant::now();
+            if last_logged.elapsed() > TELL {
+                last_logged = Instant::now();
                 tracing::info!("looked at {seen} of {all} files of the recording");
             }
         };

@@ -56,12 +56,12 @@ fn a_file_that_disappears_or_shrinks_during_playback_is_a_lasting_error() {
         assert!(replay.next_message().unwrap().is_some());
         change(&place.path().join("new/run_1.mcap"));
         let error = all(&mut replay).unwrap_err();
-        let told = format!("{error:#}");
+        let text = format!("{error:#}");
         assert!(
-            told.starts_with("after ") && told.contains(expected) && told.contains("hint: leave a recording"),
-            "{told}"
+            text.starts_with("after ") && text.contains(expected) && text.contains("hint: leave a recording"),
+            "{text}"
         );
-        assert!(conicflow_messages::lasts(error.as_ref()), "{told}");
+        assert!(conicflow_messages::lasts(error.as_ref()), "{text}");
     }
 }
 
@@ -75,7 +75,7 @@ fn a_killed_recorder_leaves_all_but_the_last_second() {
     recorder.write("depth", &depth, None).unwrap();
     // Nothing follows, and `finish` is not called: the recorder's thread flushes.
     let deadline = Instant::now() + Duration::from_secs(60);
-    while Files::find(&path).unwrap().survey().map_or(0, |seen| seen.len()) < 4 {
+    while Files::find(&path).unwrap().survey().map_or(0, |channels| channels.len()) < 4 {
         assert!(Instant::now() < deadline, "it never came into the file");
         std::thread::yield_now();
     }
@@ -140,8 +140,8 @@ fn a_new_recording_of_several_files_replaces_an_earlier_one_and_a_restart_contin
     let wrong = place.path().join("run_5.mcap");
     fs::create_dir(&wrong).unwrap();
     let recorder = Recorder::create(&path, split, RUN, false).unwrap();
-    let told = write_one(&recorder).unwrap_err().to_string();
-    assert!(told.starts_with(&format!("cannot write the recording `{}`: ", path.display())), "{told}");
+    let error = write_one(&recorder).unwrap_err().to_string();
+    assert!(error.starts_with(&format!("cannot write the recording `{}`: ", path.display())), "{error}");
 }
 
 #[test]
@@ -234,7 +234,7 @@ fn messages_that_a_lossless_sink_has_taken_are_in_the_file() {
 fn recordings_that_cannot_be_written_are_reported() {
     let place = tempfile::tempdir().unwrap();
     fs::write(place.path().join("file"), "").unwrap();
-    let told = |path: &Path| {
+    let error = |path: &Path| {
         let written = Recorder::create(path, Limits::default(), RUN, false).and_then(|recorder| {
             let header = header(0, 0.001);
             recorder.write(
@@ -246,10 +246,10 @@ fn recordings_that_cannot_be_written_are_reported() {
         });
         written.unwrap_err().to_string()
     };
-    assert!(told(&place.path().join("file/run.mcap")).contains("cannot write the recording"));
-    assert!(told(place.path()).contains("cannot write the recording"));
+    assert!(error(&place.path().join("file/run.mcap")).contains("cannot write the recording"));
+    assert!(error(place.path()).contains("cannot write the recording"));
     if Path::new("/dev/full").exists() {
-        let full = told(Path::new("/dev/full"));
+        let full = error(Path::new("/dev/full"));
         assert!(full.contains("hint: free some space") && full.contains("No space left"), "{full}");
     } else {
         eprintln!("SKIPPED: this system has no /dev/full");
@@ -266,9 +266,9 @@ fn own_headers_of_another_version_are_refused() {
     file.0.write_to_known_channel(&message, &[0; 900]).unwrap();
     let place = RecordingFolder::of(&file.bytes());
     let config = Config { path: Some("run.mcap".into()), ..Config::default() };
-    let told = format!("{:#}", Replay::open(&config, place.0.path(), &BUILT_IN[2]).err().unwrap());
+    let error = format!("{:#}", Replay::open(&config, place.0.path(), &BUILT_IN[2]).err().unwrap());
     assert!(
-        told.contains("they are `conicflow.Object.v0`") && told.contains("hint: replay them with the version"),
-        "{told}"
+        error.contains("they are `conicflow.Object.v0`") && error.contains("hint: replay them with the version"),
+        "{error}"
     );
 }

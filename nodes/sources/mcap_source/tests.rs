@@ -42,7 +42,7 @@ fn chunks_may_be_compressed() {
         assert_eq!(play(&file, Config::default()).unwrap(), plain);
     }
     let other = replace(&with_zstd(&usual(None)), b"zstd", b"zpaq");
-    assert!(told(&other, Config::default()).contains("compressed by `zpaq`, expected `lz4` or `zstd`\n  hint: "));
+    assert!(error_of(&other, Config::default()).contains("compressed by `zpaq`, expected `lz4` or `zstd`\n  hint: "));
 }
 
 /// The bytes with each occurrence of `from` changed.
@@ -99,8 +99,8 @@ fn a_file_that_was_cut_is_played_up_to_its_last_whole_message() {
                     most = most.max(frames.len());
                 }
                 Err(error) => {
-                    let told = format!("{error:#}");
-                    assert!(told.contains("\n  hint: "), "{told}");
+                    let text = format!("{error:#}");
+                    assert!(text.contains("\n  hint: "), "{text}");
                 }
             }
         }
@@ -201,8 +201,8 @@ fn damage_is_an_error_or_the_end_and_never_a_panic() {
             match played {
                 Ok((frames, rest)) => assert!(frames.iter().chain(&rest).all(|(_, depths)| depths.len() == 12)),
                 Err(error) => {
-                    let told = format!("{error:#}");
-                    assert!(!told.contains("may this user read it"), "the file can be read: {told}");
+                    let text = format!("{error:#}");
+                    assert!(!text.contains("may this user read it"), "the file can be read: {text}");
                 }
             }
         }
@@ -273,17 +273,19 @@ fn of_several_topics_one_has_to_be_named() {
     file.put("/left/infra", IMAGE, 0, &infrared.finish());
     let file = file.bytes();
     assert_eq!(
-        told(&file, Config::default()).split_once("`: ").unwrap().1,
+        error_of(&file, Config::default()).split_once("`: ").unwrap().1,
         format!(
             "several topics carry depth images: `{IMAGES}`, `/left/depth`\n  hint: say which, such as `topic = \"{IMAGES}\"`"
         )
     );
     assert_eq!(play(&file, topic("/left/depth")).unwrap().len(), 2);
     assert_eq!(play(&file, topic("/left/infra")).unwrap().len(), 1, "named, it is taken for depth");
-    let wrong = told(&file, topic("/right/depth"));
+    let wrong = error_of(&file, topic("/right/depth"));
     assert!(wrong.contains("the topic `/right/depth` is not in the recording, or has no messages"), "{wrong}");
     assert!(wrong.ends_with(&format!("\n  hint: topics with such: `{IMAGES}`, `/left/depth`")), "{wrong}");
-    assert!(told(&file, topic(INFO)).contains("carries `sensor_msgs/msg/CameraInfo` in `cdr`; expected depth images"));
+    assert!(
+        error_of(&file, topic(INFO)).contains("carries `sensor_msgs/msg/CameraInfo` in `cdr`; expected depth images")
+    );
 }
 
 #[test]
@@ -296,8 +298,11 @@ fn parameters_that_do_not_fit_the_recording_are_reported_before_it_is_played() {
     let fine: Vec<String> = faults(&usual(None), Config::default());
     assert!(fine.is_empty(), "{fine:?}");
     let two = Foreign::new(None).info(INFO).images(IMAGES, 0..1).images("/left/depth", 0..2).bytes();
-    let told: Vec<String> = faults(&two, Config::default());
-    assert!(told.len() == 1 && told[0].starts_with("`topic`: several topics carry depth images: "), "{told:?}");
+    let reported: Vec<String> = faults(&two, Config::default());
+    assert!(
+        reported.len() == 1 && reported[0].starts_with("`topic`: several topics carry depth images: "),
+        "{reported:?}"
+    );
     let named: Vec<String> = faults(&two, topic(IMAGES));
     assert!(named.is_empty(), "{named:?}");
     // The user may mean the lists of a recording by conicflow.
@@ -315,17 +320,17 @@ fn an_image_of_absurd_size_is_reported_as_such() {
     let at = huge.windows(8).position(|bytes| bytes == [3, 0, 0, 0, 4, 0, 0, 0]).unwrap();
     huge[at..at + 4].copy_from_slice(&u32::MAX.to_le_bytes());
     let file = Foreign::new(None).info(INFO).put(IMAGES, IMAGE, 0, &huge).bytes();
-    let told = told(&file, Config::default());
+    let error = error_of(&file, Config::default());
     assert!(
-        told.contains(&format!("the first image of `{IMAGES}`: an image of 4x4294967295 pixels, expected")),
-        "{told}"
+        error.contains(&format!("the first image of `{IMAGES}`: an image of 4x4294967295 pixels, expected")),
+        "{error}"
     );
 }
 
 #[test]
 fn the_error_of_a_recording_without_depth_lists_its_contents() {
     let other = Foreign::new(None).info(INFO).bytes();
-    let text = told(&other, Config::default());
+    let text = error_of(&other, Config::default());
     assert!(
         text.contains(&format!("has no depth images; it has\n    `{INFO}` with `sensor_msgs/msg/CameraInfo` in cdr"))
     );
@@ -338,14 +343,14 @@ fn the_error_of_a_recording_without_depth_lists_its_contents() {
     ] {
         let file = Foreign::new(None).put(IMAGES, IMAGE, 0, first).bytes();
         for config in [Config::default(), topic(IMAGES)] {
-            let told = told(&file, config);
-            assert!(told.contains(expected), "{told}");
+            let error = error_of(&file, config);
+            assert!(error.contains(expected), "{error}");
         }
     }
     let ros1 = Foreign::new(None).put_as(IMAGES, ("sensor_msgs/Image", "ros1"), 0, &[0; 8]).bytes();
-    assert!(told(&ros1, Config::default()).contains("messages of ROS 1, expected those of ROS 2\n  hint: "));
-    assert!(told(&Foreign::new(None).bytes(), Config::default()).contains("no messages at all"));
-    assert!(told(b"no MCAP at all, but long enough", Config::default()).contains("\n  hint: "));
+    assert!(error_of(&ros1, Config::default()).contains("messages of ROS 1, expected those of ROS 2\n  hint: "));
+    assert!(error_of(&Foreign::new(None).bytes(), Config::default()).contains("no messages at all"));
+    assert!(error_of(b"no MCAP at all, but long enough", Config::default()).contains("\n  hint: "));
 }
 
 #[test]
@@ -358,26 +363,26 @@ fn a_distorted_image_is_refused_and_the_rectified_one_named() {
     let raw = "/camera/depth/image_raw";
     let mut file = Foreign::new(None);
     file.put(INFO, CAMERA_INFO, 0, &info).images(raw, 0..1);
-    let only_raw = told(&file.bytes(), Config::default());
+    let only_raw = error_of(&file.bytes(), Config::default());
     assert!(only_raw.contains(&format!("the images of `{raw}` are distorted (`{INFO}`: [0.1, 0.0])")), "{only_raw}");
     assert!(only_raw.ends_with("hint: rectify them by image_proc of ROS, and record that topic"), "{only_raw}");
     let mut file = Foreign::new(None);
     let file = file.put(INFO, CAMERA_INFO, 0, &info).images(raw, 0..1).images("/camera/depth/image_rect", 0..1).bytes();
-    assert!(told(&file, topic(raw)).ends_with("hint: `topic = \"/camera/depth/image_rect\"` is rectified"));
+    assert!(error_of(&file, topic(raw)).ends_with("hint: `topic = \"/camera/depth/image_rect\"` is rectified"));
     assert_eq!(play(&file, topic("/camera/depth/image_rect")).unwrap()[0].0.camera.fx, 45.0, "the projection's");
     // The hint proposes the one that can be played, in the syntax of the place.
-    assert!(told(&file, Config::default()).ends_with("such as `topic = \"/camera/depth/image_rect\"`"));
+    assert!(error_of(&file, Config::default()).ends_with("such as `topic = \"/camera/depth/image_rect\"`"));
     let written_in = WrittenIn::CommandLine;
-    let shell = told(&file, Config { written_in, ..Config::default() });
+    let shell = error_of(&file, Config { written_in, ..Config::default() });
     assert!(shell.ends_with("hint: say which, such as `--topic /camera/depth/image_rect`"), "{shell}");
-    let shell = told(&file, Config { written_in, ..topic(raw) });
+    let shell = error_of(&file, Config { written_in, ..topic(raw) });
     assert!(shell.ends_with("hint: `--topic /camera/depth/image_rect` is rectified"), "{shell}");
 }
 
 #[test]
 fn without_a_camera_there_are_no_frames() {
     let none = Foreign::new(None).images(IMAGES, 0..1).bytes();
-    let text = told(&none, Config::default());
+    let text = error_of(&none, Config::default());
     assert!(
         text.contains(&format!(
             "no CameraInfo beside `{IMAGES}`, expected at `{INFO}`; there is none in the recording"
@@ -390,7 +395,7 @@ fn without_a_camera_there_are_no_frames() {
         .info(INFO)
         .put(IMAGES, IMAGE, 0, &write_units(stamped(0), (6, 2), &pixels(0), Vec::new()))
         .bytes();
-    assert!(told(&small, Config::default()).contains("is for images of 4x3, those of"));
+    assert!(error_of(&small, Config::default()).contains("is for images of 4x3, those of"));
 }
 
 #[test]
@@ -405,7 +410,9 @@ fn an_unreadable_image_is_skipped_and_counted() {
     assert_eq!(replay.take_counts().collect::<Vec<_>>(), [("frames unreadable", 2)]);
     let none = Foreign::new(None).info(INFO).images(IMAGES, 0..1).bytes();
     let late = Config { from_s: 5.0, ..Config::default() };
-    assert!(told(&none, late).starts_with(&format!("none of the messages of `{IMAGES}` can be read, or is between")));
+    assert!(
+        error_of(&none, late).starts_with(&format!("none of the messages of `{IMAGES}` can be read, or is between"))
+    );
 }
 
 #[test]
@@ -438,7 +445,7 @@ fn unreadable_messages_at_the_beginning_are_skipped_and_counted() {
         assert_eq!(counted(&file.bytes(), Config::default()), [("CameraInfo unreadable", 1)]);
     }
     let never = Foreign::new(None).put(INFO, CAMERA_INFO, 0, &unready).images(IMAGES, 1..3).bytes();
-    assert!(told(&never, Config::default()).contains(&format!("`{INFO}` has no intrinsics: the camera was not")));
+    assert!(error_of(&never, Config::default()).contains(&format!("`{INFO}` has no intrinsics: the camera was not")));
 }
 
 #[test]
@@ -585,18 +592,18 @@ fn a_folder_is_played_in_natural_order_and_other_formats_are_refused_with_their_
     assert_eq!(stamps, [0, 1, 2, 3, 4].map(stamp_ns));
     fs::write(folder.join("bag_11.mcap"), &usual(None)[..40]).unwrap();
     assert_eq!(place.play(config("bag")).unwrap().len(), 5, "a file that has nothing yet is left out");
-    let told = |path: &str| format!("{:#}", place.play(config(path)).unwrap_err());
+    let error = |path: &str| format!("{:#}", place.play(config(path)).unwrap_err());
     assert!(
-        told("run.bag")
+        error("run.bag")
             .contains("is a ROS 1 recording, expected MCAP\n  hint: pip install rosbags && rosbags-convert --src ")
     );
     fs::create_dir(place.0.path().join("old")).unwrap();
-    assert!(told("old").contains("no MCAP files in"));
+    assert!(error("old").contains("no MCAP files in"));
     fs::write(place.0.path().join("old/old_0.db3"), "").unwrap();
-    let converted = told("old");
+    let converted = error("old");
     assert!(
         converted.contains("is a rosbag2 recording in SQLite") && converted.contains("/old' --dst '"),
         "{converted}"
     );
-    assert!(told("run.mcap.zstd").contains("is compressed as a whole\n  hint: zstd -d '"));
+    assert!(error("run.mcap.zstd").contains("is compressed as a whole\n  hint: zstd -d '"));
 }

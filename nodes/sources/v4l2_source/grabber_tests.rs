@@ -32,7 +32,7 @@ enum Attempt {
 #[derive(Clone, Default)]
 struct Script {
     attempts: Rc<RefCell<VecDeque<Attempt>>>,
-    asked: Rc<RefCell<Vec<Mode>>>,
+    opened_modes: Rc<RefCell<Vec<Mode>>>,
     /// Requested when the script is at its end.
     stop: Stop,
 }
@@ -65,7 +65,7 @@ impl Driver for Script {
     }
 
     fn open(&self, _: &Path, mode: &Mode) -> io::Result<(Layout, Played)> {
-        self.asked.borrow_mut().push(mode.clone());
+        self.opened_modes.borrow_mut().push(mode.clone());
         let Some(Attempt::Device(modes, events)) = self.attempts.borrow_mut().pop_front() else {
             return Err(io::Error::from(io::ErrorKind::ResourceBusy));
         };
@@ -128,9 +128,9 @@ struct Outcome {
     /// Number of pixels and the value of all of them.
     images: Vec<(usize, u16)>,
     counted: BTreeMap<&'static str, u64>,
-    asked: Vec<Mode>,
+    opened_modes: Vec<Mode>,
     /// The last warning, without its numbers.
-    told: Option<String>,
+    last_warning: Option<String>,
     refused: Option<String>,
 }
 
@@ -153,8 +153,8 @@ fn play(wanted: Wanted, attempts: Vec<Attempt>) -> Outcome {
             }
         }
     }
-    let asked = script.asked.borrow().clone();
-    Outcome { images, counted: output.counted, asked, told: grabber.told, refused }
+    let opened_modes = script.opened_modes.borrow().clone();
+    Outcome { images, counted: output.counted, opened_modes, last_warning: grabber.last_warning, refused }
 }
 
 fn patient() -> Wanted {
@@ -169,7 +169,7 @@ fn device(events: &[Event]) -> Attempt {
 fn images_are_delivered_without_the_gaps_between_their_rows() {
     let outcome = play(patient(), vec![device(&[Event::Image(1), Event::Silence, Event::Image(2)])]);
     assert_eq!(outcome.images, [(6, 1), (6, 2)]);
-    assert!(outcome.counted.is_empty() && outcome.told.is_none() && outcome.refused.is_none());
+    assert!(outcome.counted.is_empty() && outcome.last_warning.is_none() && outcome.refused.is_none());
 }
 
 #[test]
@@ -207,7 +207,7 @@ fn a_slow_pipeline_is_not_taken_for_a_stalled_camera() {
     let mut grabber = Grabber::new(script.clone(), wanted, script.stop.clone());
     let mut output = Images::default();
     grabber.next(&mut output).unwrap().unwrap();
-    grabber.heard -= Duration::from_secs(3600);
+    grabber.last_image_at -= Duration::from_secs(3600);
     grabber.next(&mut output).unwrap().unwrap();
     assert_eq!(output.image[0], 2);
     assert!(output.counted.is_empty());
@@ -226,7 +226,7 @@ fn incomplete_images_are_counted_and_skipped() {
     let outcome = play(patient(), vec![device(&events)]);
     assert_eq!(outcome.images, [(6, 1), (6, 2)]);
     assert_eq!(outcome.counted, BTreeMap::from([(UNREADABLE, 4)]));
-    assert!(outcome.told.unwrap().contains("Depth Camera  sends an image that its driver calls damaged"));
+    assert!(outcome.last_warning.unwrap().contains("Depth Camera  sends an image that its driver calls damaged"));
 }
 
 #[test]
@@ -237,17 +237,17 @@ fn the_best_format_with_depths_is_chosen() {
         mode(DepthFormat::Z16, 3, 2),
         mode(DepthFormat::Z16, 5, 4),
     ];
-    let asked = |wanted: Wanted| {
+    let chosen = |wanted: Wanted| {
         let outcome = play(wanted, vec![Attempt::Device(modes.clone(), vec![])]);
-        outcome.asked.first().map(|mode| (mode.format, mode.width, mode.rates_hz.clone())).ok_or(outcome.refused)
+        outcome.opened_modes.first().map(|mode| (mode.format, mode.width, mode.rates_hz.clone())).ok_or(outcome.refused)
     };
-    assert_eq!(asked(patient()), Ok((DepthFormat::Z16, 3, vec![])));
-    assert_eq!(asked(Wanted { size: Some((5, 4)), ..patient() }), Ok((DepthFormat::Z16, 5, vec![])));
-    assert_eq!(asked(Wanted { format: Some(DepthFormat::Y16), ..patient() }), Ok((DepthFormat::Y16, 8, vec![])));
-    assert_eq!(asked(Wanted { fps: Some(60.0), ..patient() }), Ok((DepthFormat::Z16, 3, vec![60.0])));
-    let told = asked(Wanted { size: Some((640, 480)), fps: Some(90.0), ..patient() }).unwrap_err().unwrap();
-    assert!(told.starts_with("`/dev/video2` (Depth Camera 435) has no depth images of 640x480 at 90 Hz\n"), "{told}");
-    assert!(told.contains("hint: it has y16 8x8 at 30, 60 Hz; inzi 3x2 at 30, 60 Hz; z16 3x2"), "{told}");
+    assert_eq!(chosen(patient()), Ok((DepthFormat::Z16, 3, vec![])));
+    assert_eq!(chosen(Wanted { size: Some((5, 4)), ..patient() }), Ok((DepthFormat::Z16, 5, vec![])));
+    assert_eq!(chosen(Wanted { format: Some(DepthFormat::Y16), ..patient() }), Ok((DepthFormat::Y16, 8, vec![])));
+    assert_eq!(chosen(Wanted { fps: Some(60.0), ..patient() }), Ok((DepthFormat::Z16, 3, vec![60.0])));
+    let error = chosen(Wanted { size: Some((640, 480)), fps: Some(90.0), ..patient() }).unwrap_err().unwrap();
+    assert!(error.starts_with("`/dev/video2` (Depth Camera 435) has no depth images of 640x480 at 90 Hz\n"), "{error}");
+    assert!(error.contains("hint: it has y16 8x8 at 30, 60 Hz; inzi 3x2 at 30, 60 Hz; z16 3x2"), "{error}");
 }
 
 #[test]

@@ -108,11 +108,11 @@ mod tests {
 
     #[test]
     fn malformed_input_is_refused() {
-        let told = |input: &[u8]| decompress(input, &mut [0; 4]).unwrap_err().to_string();
-        assert_eq!(told(&[5, 1, 2]), "the compressed data ends in the middle of a run");
-        assert_eq!(told(&[0, 1, 0xe0]), "the compressed data ends in the middle of a run");
-        assert_eq!(told(&[0, 1, 0x20, 9]), "the compressed data refers back beyond its beginning");
-        assert_eq!(told(&[0, 1, 0xe0, 255, 0]), "the compressed data holds more than the expected 4 bytes");
-        assert_eq!(told(&[0, 1]), "the compressed data holds 1 bytes, expected 4");
+        let error = |input: &[u8]| decompress(input, &mut [0; 4]).unwrap_err().to_string();
+        assert_eq!(error(&[5, 1, 2]), "the compressed data ends in the middle of a run");
+        assert_eq!(error(&[0, 1, 0xe0]), "the compressed data ends in the middle of a run");
+        assert_eq!(error(&[0, 1, 0x20, 9]), "the compressed data refers back beyond its beginning");
+        assert_eq!(error(&[0, 1, 0xe0, 255, 0]), "the compressed data holds more than the expected 4 bytes");
+        assert_eq!(error(&[0, 1]), "the compressed data holds 1 bytes, expected 4");
     }
 }
