@@ -35,7 +35,7 @@ impl Flipped for u16 {
     const SUMMARY: &'static str = "Turns or mirrors depth images, and the camera with them";
 
     fn flip(flip: Flip, camera: &Camera, pixels: &[Self], output: &mut Output<Self>) -> Result<(), StageError> {
-        flip.image(camera, pixels, output.image(pixels.len())?);
+        flip.image(camera, pixels, output.loan(pixels.len())?);
         Ok(())
     }
 }

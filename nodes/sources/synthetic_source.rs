@@ -78,7 +78,7 @@ impl Source for SyntheticSource {
             self.camera.drive(&velocity);
         }
         let camera = self.camera.raster().camera;
-        self.camera.shoot(self.next, output.image(camera.width as usize * camera.height as usize)?);
+        self.camera.shoot(self.next, output.loan(camera.width as usize * camera.height as usize)?);
         self.camera.describe(&mut output.header);
         if self.truth.is_some() {
             let line = self.truth_line();

@@ -90,8 +90,8 @@ impl Source for ImageSource {
 
     fn next(&mut self, _: &SideInputs, output: &mut Output<u16>) -> Result<Next, StageError> {
         while let Some(loaded) = self.0.load().map_err(stage_error)? {
-            let place = output.image(loaded.pixels())?;
-            let header = self.0.decode(&loaded, place).map_err(stage_error)?;
+            let pixels = output.loan(loaded.pixels())?;
+            let header = self.0.decode(&loaded, pixels).map_err(stage_error)?;
             output.count_all(self.0.take_counts());
             if let Some(header) = header {
                 output.header = header;

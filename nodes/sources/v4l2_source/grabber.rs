@@ -38,15 +38,15 @@ pub trait ImageOutput {
     ///
     /// # Errors
     /// There is no memory left.
-    fn image(&mut self, pixels: usize) -> Result<&mut [u16], StageError>;
+    fn loan(&mut self, pixels: usize) -> Result<&mut [u16], StageError>;
 
     /// Adds to a counter.
     fn count(&mut self, name: &'static str);
 }
 
 impl ImageOutput for Output<'_, u16> {
-    fn image(&mut self, pixels: usize) -> Result<&mut [u16], StageError> {
-        Output::image(self, pixels)
+    fn loan(&mut self, pixels: usize) -> Result<&mut [u16], StageError> {
+        Output::loan(self, pixels)
     }
 
     fn count(&mut self, name: &'static str) {
@@ -225,7 +225,7 @@ impl<D: Driver> Grabber<D> {
         let (layout, name) = (*layout, found.name.clone());
         let (mut result, median) = (Ok(Ok(())), &mut self.median);
         let has_image = stream.next(IMAGE_TIMEOUT, &mut |buffer, is_damaged| {
-            result = output.image(layout.pixels()).map(|image| match layout.unpack(buffer, image) {
+            result = output.loan(layout.pixels()).map(|image| match layout.unpack(buffer, image) {
                 Ok(()) if is_damaged => Err("an image that its driver calls damaged".to_owned()),
                 Ok(()) => {
                     *median = median.or_else(|| median_depth(image));

@@ -113,7 +113,7 @@ struct Images {
 }
 
 impl ImageOutput for Images {
-    fn image(&mut self, pixels: usize) -> Result<&mut [u16], StageError> {
+    fn loan(&mut self, pixels: usize) -> Result<&mut [u16], StageError> {
         self.image = vec![9999; pixels];
         Ok(&mut self.image)
     }
