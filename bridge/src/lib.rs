@@ -9,7 +9,7 @@
 //! (`wire::seal`, `peer::links`). Short messages that may be lost go by datagrams, if the file names endpoints for them
 //! ([`session`]). [`reliable`] holds the two ends of lossless delivery, and the window that keeps messages under way from
 //! queueing with `latest`. For TLS links, faulty certificates are reported at the start (`certificates`), and failed handshakes
-//! when they occur ([`ear`]).
+//! when they occur ([`handshake_layer`]).
 //!
 //! Lossless delivery is implemented here rather than with `zenoh-ext` (`AdvancedPublisher`, `AdvancedSubscriber`), which has a
 //! cache, detects misses and retransmits, but is marked unstable and has no back-pressure. A lossless edge has to make its writer
@@ -35,7 +35,7 @@ mod session;
 mod settings;
 mod wire;
 
-pub use handshakes::ear;
+pub use handshakes::handshake_layer;
 pub use ros2::NODES;
 pub use wire::{MAX_MESSAGE, StreamPosition, WIRE_VERSION, WireError, decode_message, encode_message};
 

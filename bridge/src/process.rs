@@ -65,7 +65,7 @@ fn carry(
         handshakes::report();
         reporter.report(false);
     };
-    look_up(&bridge.settings.connect);
+    warn_of_unknown_hosts(&bridge.settings.connect);
     let Some(sessions) = Sessions::open(&bridge.settings, stop, &mut failed)? else { return Ok(()) };
     let shared = Shared {
         sessions: &sessions,
@@ -89,12 +89,12 @@ fn carry(
     let result = watch.run(&shared);
     let life = if result.is_ok() && !stop.forced() { Life::Ended } else { Life::Starting };
     watch.reporter.record.status.set_life(life);
-    watch.reporter.report(sessions.reach_anybody());
+    watch.reporter.report(sessions.reaches_any_machine());
     result
 }
 
 /// Warns of hosts without an address, in a thread, because a look-up may take seconds.
-fn look_up(connect: &[String]) {
+fn warn_of_unknown_hosts(connect: &[String]) {
     let endpoints = connect.to_vec();
     std::thread::spawn(move || {
         let faults = endpoints.iter().filter_map(|endpoint| check_host(endpoint).err());
@@ -111,8 +111,8 @@ fn subscribe_to_heartbeats<'a>(shared: &Shared<'a>, bridge: &BridgePlan) -> Resu
         let (links, machine) = (Arc::clone(shared.links), peer.to_owned());
         let key = heartbeat_key(shared.pipeline, peer);
         let zenoh_key = key.clone();
-        let hear = move |bytes: ZBytes| links.heard(&machine, &zenoh_key, &bytes.to_bytes());
-        shared.sessions.subscriber(&key, Some(3 * HEARTBEAT_PERIOD), hear)
+        let on_heartbeat = move |bytes: ZBytes| links.receive_heartbeat(&machine, &zenoh_key, &bytes.to_bytes());
+        shared.sessions.subscriber(&key, Some(3 * HEARTBEAT_PERIOD), on_heartbeat)
     };
     bridge.peers().into_iter().map(subscribe).collect()
 }
@@ -173,7 +173,7 @@ impl<'a> Watch<'a> {
 
     fn report(&mut self) {
         handshakes::report();
-        let reachable = self.sessions.reach_anybody();
+        let reachable = self.sessions.reaches_any_machine();
         self.reporter.report(reachable);
         if reachable {
             self.memory_trim.step();
@@ -182,7 +182,7 @@ impl<'a> Watch<'a> {
 
     fn send_heartbeat(&mut self, news: News) {
         self.sent = (Instant::now(), news.clone());
-        self.links.say(&self.own_key, news, |bytes| self.publisher.put(bytes));
+        self.links.send_heartbeat(&self.own_key, news, |bytes| self.publisher.put(bytes));
     }
 }
 

@@ -57,7 +57,7 @@ pub(super) struct Receiving<'a> {
     peers: Peers,
     stop: Stop,
     refusals: Arc<Refusals>,
-    told: BTreeSet<&'static str>,
+    logged_paths: BTreeSet<&'static str>,
 }
 
 impl<'a> Receiving<'a> {
@@ -107,7 +107,7 @@ impl<'a> Receiving<'a> {
             peers: shared.peers.clone(),
             stop: shared.stop.clone(),
             refusals,
-            told: BTreeSet::new(),
+            logged_paths: BTreeSet::new(),
         })
     }
 
@@ -124,11 +124,11 @@ impl<'a> Receiving<'a> {
     /// Carries messages until all writers, all readers or the run have ended. Returns whether nothing more is wanted of the other
     /// machine.
     pub(super) fn carry(&mut self) -> Result<bool, BridgeError> {
-        let (began, mut looked, mut unread) = (Instant::now(), Instant::now(), Unread::default());
+        let (began, mut checked, mut unread) = (Instant::now(), Instant::now(), Unread::default());
         while !self.stop.requested() && self.ended.len() < self.edge.writers.len() {
-            if looked.elapsed() > IDLE_CHECK_PERIOD {
-                looked = Instant::now();
-                if unread.is_for_good(self.nobody_reads(), looked) {
+            if checked.elapsed() > IDLE_CHECK_PERIOD {
+                checked = Instant::now();
+                if unread.is_for_good(self.nobody_reads(), checked) {
                     break;
                 }
                 if self.is_rest_lost(began) {
@@ -182,7 +182,7 @@ impl<'a> Receiving<'a> {
         let (from, topic) = (&self.edge.from, &self.edge.topic.name);
         let began = Instant::now();
         loop {
-            self.links.finish(from, topic);
+            self.links.note_finished(from, topic);
             let (_, is_known) = self.links.is_finished(from, topic);
             let silence = self.links.silence(from, began);
             if is_known || !self.lossless || self.stop.forced() || silence > END_PATIENCE {
@@ -194,9 +194,9 @@ impl<'a> Receiving<'a> {
 
     /// Subscribes to the stream where datagrams are too rare, and logs each path once.
     fn choose_path(&mut self) -> Result<(), BridgeError> {
-        if let Some(way) = self.subscriber.choose()?.filter(|way| self.told.insert(way)) {
+        if let Some(path) = self.subscriber.choose()?.filter(|path| self.logged_paths.insert(path)) {
             let (topic, from) = (&self.edge.topic.name, &self.edge.from);
-            tracing::info!("topic `{topic}` of machine `{from}` comes by {way}");
+            tracing::info!("topic `{topic}` of machine `{from}` comes by {path}");
         }
         Ok(())
     }
@@ -241,7 +241,7 @@ impl<'a> Receiving<'a> {
             self.sequence.taken();
             self.follow.insert(writer.clone(), header.number.saturating_add(1));
         }
-        if header.ends_stream() && self.sequence.is_end_to_hear(position, verdict) {
+        if header.ends_stream() && self.sequence.counts_as_end(position, verdict) {
             self.links.note_end(&self.edge.from, &self.edge.topic.name, &writer, header.number);
             self.ended.insert(writer);
         }
@@ -283,7 +283,7 @@ impl<'a> Receiving<'a> {
         let finished = self.passed_on.finished(self.output_port.unfinished(), (stream, next));
         let ended = self.ended.iter().cloned().collect();
         let (from, topic) = (self.edge.from.clone(), self.edge.topic.name.clone());
-        self.links.received(Ack { from, topic, stream, next, finished, ended });
+        self.links.note_ack(Ack { from, topic, stream, next, finished, ended });
     }
 
     /// Skips an undecodable message: otherwise it would be retransmitted for ever and block all later ones.
@@ -353,7 +353,7 @@ impl Gate {
     /// Whether a message was made by the present session of the other machine's bridge. Messages of a session that has not proved
     /// itself yet are dropped without being counted: they come again, or are not wanted yet.
     fn admits(&self, bytes: &[u8]) -> bool {
-        let opened = self.links.seal().open(&self.zenoh_key, bytes);
+        let opened = self.links.seal().verify(&self.zenoh_key, bytes);
         let present = opened.map(|session| self.links.is_present(&self.from, session));
         match present {
             Ok(Ok(is_present)) => return is_present,
@@ -445,20 +445,20 @@ mod tests {
     #[test]
     fn readers_are_gone_for_good_after_a_time_without_any_however_long_the_pause_between_two_checks() {
         let start = Instant::now();
-        let looks = |looks: &[(u64, bool)]| {
+        let checks = |checks: &[(u64, bool)]| {
             let mut unread = Unread::default();
-            let look =
+            let check =
                 |&(after_s, nobody_reads)| unread.is_for_good(nobody_reads, start + Duration::from_secs(after_s));
-            looks.iter().map(look).collect::<Vec<_>>()
+            checks.iter().map(check).collect::<Vec<_>>()
         };
         assert_eq!(
-            looks(&[(0, false), (60, false), (61, true)]),
+            checks(&[(0, false), (60, false), (61, true)]),
             [false; 3],
             "a reader held the bridge up for a minute"
         );
-        assert_eq!(looks(&[(0, true), (5, true), (6, true)]), [false, false, true]);
+        assert_eq!(checks(&[(0, true), (5, true), (6, true)]), [false, false, true]);
         assert_eq!(
-            looks(&[(0, true), (4, false), (5, true), (10, true), (11, true)]),
+            checks(&[(0, true), (4, false), (5, true), (10, true), (11, true)]),
             [false, false, false, false, true]
         );
     }
@@ -466,7 +466,7 @@ mod tests {
     fn sealed(seal: &Seal, zenoh_key: &str) -> Vec<u8> {
         let (item, header) = (ItemType::of::<Object>(), Header::default());
         let mut bytes = encode_message(StreamPosition::default(), &item, &header, &[], Compression::None).unwrap();
-        seal.close(zenoh_key, &mut bytes);
+        seal.sign(zenoh_key, &mut bytes);
         bytes
     }
 
@@ -486,8 +486,8 @@ mod tests {
         assert!(!gate.admits(&good), "it has not proved to be the present one");
         assert_eq!(counts.malformed.load(Ordering::Relaxed), 0);
         for _ in 0..2 {
-            theirs.say("@robot", News::default(), |bytes| ours.heard("robot", "@robot", &bytes));
-            ours.say("@base", News::default(), |bytes| theirs.heard("base", "@base", &bytes));
+            theirs.send_heartbeat("@robot", News::default(), |bytes| ours.receive_heartbeat("robot", "@robot", &bytes));
+            ours.send_heartbeat("@base", News::default(), |bytes| theirs.receive_heartbeat("base", "@base", &bytes));
         }
         assert!(gate.admits(&good));
         let changed = |at: usize| [&good[..at], &[good[at] ^ 1], &good[at + 1..]].concat();

@@ -120,7 +120,7 @@ impl<'a> Sending<'a> {
         if !self.stop.forced() {
             self.queue.close();
         }
-        self.tell_what_is_lost();
+        self.report_losses();
         Ok(())
     }
 
@@ -134,7 +134,7 @@ impl<'a> Sending<'a> {
 
     /// Whether there is a receiver: a machine of the pipeline, or another program that has subscribed.
     fn is_wanted(&self) -> bool {
-        self.queue.is_wanted(|machine| self.links.is_connected(machine)) || self.publisher.is_heard()
+        self.queue.is_wanted(|machine| self.links.is_connected(machine)) || self.publisher.has_subscriber()
     }
 
     /// Updates the queue with acknowledgements, and retransmits what is due.
@@ -196,7 +196,7 @@ impl<'a> Sending<'a> {
 
     /// Puts a message onto the link, with the session and the code of this process.
     fn put(&mut self, mut bytes: Vec<u8>) {
-        self.links.seal().close(&self.zenoh_key, &mut bytes);
+        self.links.seal().sign(&self.zenoh_key, &mut bytes);
         self.publisher.put(bytes);
     }
 
@@ -232,7 +232,7 @@ impl<'a> Sending<'a> {
         !self.ended.contains(writer) && self.peers.is_over(writer)
     }
 
-    fn tell_what_is_lost(&self) {
+    fn report_losses(&self) {
         let lost = self.queue.lost_if_it_ends();
         self.counts.lost.store(lost, Ordering::Relaxed);
         loss(lost, &self.edge.topic.name).iter().for_each(|loss| tracing::error!("{loss}"));
@@ -272,8 +272,8 @@ impl<'a> Encoder<'a> {
 
 /// The report of messages that lossless receivers did not get, if there are any.
 fn loss(lost: u64, topic: &str) -> Option<String> {
-    let told = || format!("{lost} messages of the lossless topic `{topic}` did not reach all machines that read it");
-    (lost > 0).then(told)
+    let text = || format!("{lost} messages of the lossless topic `{topic}` did not reach all machines that read it");
+    (lost > 0).then(text)
 }
 
 #[cfg(test)]
@@ -304,8 +304,8 @@ mod tests {
                 assert_eq!(counts.malformed.load(Ordering::Relaxed), left_out as u64 + 1);
             }
             let bytes = encoder.message(position, &of_size(2, 1), &items).unwrap();
-            let (there, _, came) = decode_message(&bytes, &edge.item).unwrap();
-            assert_eq!((there, came), (position, items.to_vec()));
+            let (decoded_position, _, decoded_items) = decode_message(&bytes, &edge.item).unwrap();
+            assert_eq!((decoded_position, decoded_items), (position, items.to_vec()));
             assert_eq!(counts.malformed.load(Ordering::Relaxed), 4);
         }
     }

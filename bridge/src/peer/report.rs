@@ -23,7 +23,8 @@ impl<'a> EdgeHandle<'a> {
     /// Returns an edge whose counts continue from the links and the record of an earlier bridge process of the run.
     fn new(edge: &'a Edge, outgoing: bool, links: &[LinkReport], record: &Status) -> Self {
         let mut links = links.iter().filter(|link| reaches(edge, outgoing, &link.machine));
-        let is_it = |report: &&EdgeReport| report.topic == edge.topic.name && report.direction == way(outgoing);
+        let is_it =
+            |report: &&EdgeReport| report.topic == edge.topic.name && report.direction == direction_word(outgoing);
         let reported = links.find_map(|link| link.edges.iter().find(is_it)).cloned().unwrap_or_default();
         let is_its_input = |input: &&InputCounts| outgoing && input.topic == Text::new(&edge.topic.name);
         let input = record.used_inputs().find(is_its_input).copied().unwrap_or_default();
@@ -31,7 +32,8 @@ impl<'a> EdgeHandle<'a> {
     }
 
     fn report(&mut self, seconds: f64) {
-        self.reported = self.counts.report(&self.edge.topic.name, way(self.outgoing), &self.reported, seconds);
+        self.reported =
+            self.counts.report(&self.edge.topic.name, direction_word(self.outgoing), &self.reported, seconds);
     }
 }
 
@@ -41,7 +43,7 @@ fn reaches(edge: &Edge, outgoing: bool, machine: &str) -> bool {
 }
 
 /// The word for the direction of an edge.
-fn way(outgoing: bool) -> &'static str {
+fn direction_word(outgoing: bool) -> &'static str {
     if outgoing { "out" } else { "in" }
 }
 
@@ -74,7 +76,7 @@ impl<'a> BridgeReporter<'a> {
         let seconds = self.reported.elapsed().as_secs_f64();
         self.reported = Instant::now();
         self.edges.iter_mut().for_each(|edge| edge.report(seconds));
-        let states = self.links.look();
+        let states = self.links.check_peers();
         let links: Vec<_> = states.iter().map(|(machine, state)| self.link(machine, state, reachable)).collect();
         write_links(self.run.folder, self.run.run, &links).ok();
         self.keep_record();
@@ -233,7 +235,7 @@ mod tests {
         }
         let counted = InputCounts { dropped: 20, gaps: 21, late: 22, malformed: 23, ..InputCounts::default() };
         *first.edges[0].counts.input() = counted;
-        let told = |reporter: &mut BridgeReporter<'_>| {
+        let counts_after_report = |reporter: &mut BridgeReporter<'_>| {
             reporter.report(true);
             let [input, ..] = reporter.record.status.inputs;
             let report = |EdgeReport { messages, lost, stale, malformed, .. }: &EdgeReport| {
@@ -242,14 +244,17 @@ mod tests {
             let reports: Vec<_> = reporter.edges.iter().map(|handle| report(&handle.reported)).collect();
             (reports, [input.received, input.dropped, input.gaps, input.late, input.malformed])
         };
-        let before = told(&mut first);
+        let before = counts_after_report(&mut first);
         let expected = (vec![[1, 2, 3, 4 + 23], [11, 12, 13, 14], [21, 22, 23, 24]], [1, 20 + 5, 21, 22, 4 + 23]);
         assert_eq!(before, expected);
         for _ in 0..2 {
-            assert_eq!(told(&mut reporter(&plan, folder.path(), &links)), before);
+            assert_eq!(counts_after_report(&mut reporter(&plan, folder.path(), &links)), before);
         }
         let record = StatusFile::open(&folder.path().join("bridge.status"), 8).unwrap();
         let run = BridgeRun { pipeline: "tracking", run: 8, folder: folder.path() };
-        assert_eq!(told(&mut BridgeReporter::new(&plan, run, record, &links)), (vec![[0; 4]; 3], [0; 5]));
+        assert_eq!(
+            counts_after_report(&mut BridgeReporter::new(&plan, run, record, &links)),
+            (vec![[0; 4]; 3], [0; 5])
+        );
     }
 }

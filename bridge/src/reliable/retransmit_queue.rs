@@ -165,8 +165,8 @@ impl RetransmitQueue {
         if self.waiting().any(|remote| remote.lossless) {
             return self.log.has_room();
         }
-        let there = self.waiting().filter_map(|remote| Some((remote.expected, round_trip(&remote.machine)?)));
-        match there.reduce(|one, other| (one.0.min(other.0), one.1.max(other.1))) {
+        let present = self.waiting().filter_map(|remote| Some((remote.expected, round_trip(&remote.machine)?)));
+        match present.reduce(|one, other| (one.0.min(other.0), one.1.max(other.1))) {
             Some((next, round_trip)) => self.window.acknowledge(next, round_trip, now),
             None => self.window.clear(),
         }
@@ -320,8 +320,8 @@ mod tests {
         let start = Instant::now();
         let mut queue = queue(Delivery::Lossless, start);
         (0..4_u8).for_each(|number| queue.sent(&[number; 40], start));
-        let came = Ack { finished: 1, ..ack(4, &[]) };
-        queue.acknowledge("base", Some(&came), Some(start), start);
+        let received = Ack { finished: 1, ..ack(4, &[]) };
+        queue.acknowledge("base", Some(&received), Some(start), start);
         let later = start + RESEND_AFTER;
         assert!(queue.due(later, |_| true).is_empty(), "all of them came");
         assert!(!queue.is_settled(later));
@@ -341,14 +341,14 @@ mod tests {
         let start = Instant::now();
         let mut queue = queue(Delivery::Lossless, start);
         (0..4_u8).for_each(|number| queue.sent(&[number; 40], start));
-        let told: Vec<_> = [ack(4, &[]), ack(5, &[]), ack(5, &[]), ack(u64::MAX, &[]), ack(4, &[]), ack(9, &[])]
+        let reported: Vec<_> = [ack(4, &[]), ack(5, &[]), ack(5, &[]), ack(u64::MAX, &[]), ack(4, &[]), ack(9, &[])]
             .iter()
             .map(|ack| {
                 queue.acknowledge("base", Some(&Ack { finished: 2, ..ack.clone() }), Some(start), start);
                 queue.take_overstated()
             })
             .collect();
-        assert_eq!(told, [false, true, false, false, false, true]);
+        assert_eq!(reported, [false, true, false, false, false, true]);
         assert_eq!((queue.next_position().oldest, queue.take_overstated()), (2, false));
         let other = Ack { stream: 2, ..ack(u64::MAX, &[]) };
         queue.acknowledge("base", Some(&other), Some(start), start);
@@ -533,15 +533,15 @@ mod tests {
         let start = Instant::now();
         let mut queue = queue(Delivery::Latest, start);
         assert!(!queue.is_wanted(|_| false) && queue.is_wanted(|_| true));
-        let (there, away) = (|_: &str| Some(Duration::ZERO), |_: &str| None);
-        assert!(queue.may_send(start, there));
+        let (connected, away) = (|_: &str| Some(Duration::ZERO), |_: &str| None);
+        assert!(queue.may_send(start, connected));
         queue.sent(&[1; 40], start);
-        assert!(!queue.may_send(start, there));
+        assert!(!queue.may_send(start, connected));
         queue.acknowledge("base", Some(&ack(1, &[])), Some(start), start);
-        assert!(queue.may_send(start, there));
+        assert!(queue.may_send(start, connected));
         queue.sent(&[2; 40], start);
         queue.sent(&[3; 40], start);
-        assert!(!queue.may_send(start, there));
+        assert!(!queue.may_send(start, connected));
         assert!(queue.may_send(start, away), "nobody is there to wait for");
     }
 

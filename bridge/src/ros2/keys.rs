@@ -185,13 +185,13 @@ mod tests {
     fn keys_and_tokens_are_those_of_rmw_zenoh() {
         let participant = participant(Via::RmwZenoh, Distro::Jazzy);
         let keys = Keys(&participant);
-        let told: Vec<_> = participant.ends.iter().map(|end| keys.key(end)).collect();
+        let actual: Vec<_> = participant.ends.iter().map(|end| keys.key(end)).collect();
         let detections = "vision_msgs::msg::dds_::Detection3DArray_";
-        assert_eq!(told[0], "7/camera/depth/image/sensor_msgs::msg::dds_::Image_/*");
-        assert_eq!(told[1], "7/tf_static/tf2_msgs::msg::dds_::TFMessage_/*");
-        assert_eq!(told[2], format!("7/conicflow/tracks/{detections}/{DETECTIONS_HASH}"));
+        assert_eq!(actual[0], "7/camera/depth/image/sensor_msgs::msg::dds_::Image_/*");
+        assert_eq!(actual[1], "7/tf_static/tf2_msgs::msg::dds_::TFMessage_/*");
+        assert_eq!(actual[2], format!("7/conicflow/tracks/{detections}/{DETECTIONS_HASH}"));
         let taken: Vec<_> = participant.ends[..2].iter().map(|end| keys.keys_to_take(end)).collect();
-        assert_eq!(taken, [vec![told[0].clone(), format!("{}/_buf_cpu", told[0])], vec![told[1].clone()]]);
+        assert_eq!(taken, [vec![actual[0].clone(), format!("{}/_buf_cpu", actual[0])], vec![actual[1].clone()]]);
         assert!(comes_below(&taken[0][1]) && !comes_below(&taken[0][0]));
         let node = format!("@ros2_lv/7/{ZID}/0");
         let tf = "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087";
@@ -239,8 +239,8 @@ mod tests {
     fn keys_and_tokens_are_those_of_ros2dds() {
         let participant = participant(Via::Ros2dds, Distro::Humble);
         let keys = Keys(&participant);
-        let told: Vec<_> = participant.ends.iter().map(|end| keys.key(end)).collect();
-        assert_eq!(told, ["camera/depth/image", "tf_static", "conicflow/tracks"]);
+        let actual: Vec<_> = participant.ends.iter().map(|end| keys.key(end)).collect();
+        assert_eq!(actual, ["camera/depth/image", "tf_static", "conicflow/tracks"]);
         let expected = [
             format!("@/{ZID}/@ros2_lv/MS/camera§depth§image/sensor_msgs§msg§Image/:0:0:0,10"),
             format!("@/{ZID}/@ros2_lv/MS/tf_static/tf2_msgs§msg§TFMessage/:1:1:0,10"),

@@ -244,9 +244,10 @@ mod tests {
             assert!(back == circles);
             assert!(bytes < 600 * 17 * 8, "{how:?}: {bytes} bytes");
         }
-        let told = |item: &Ellipse| (item.center, item.semi_axes[1], item.half_width, item.half_depth, item.moments[0]);
+        let derived =
+            |item: &Ellipse| (item.center, item.semi_axes[1], item.half_width, item.half_depth, item.moments[0]);
         for circle in circles {
-            assert_eq!(told(&bytemuck::cast(expected(&header(), &circle))), told(&circle));
+            assert_eq!(derived(&bytemuck::cast(expected(&header(), &circle))), derived(&circle));
         }
     }
 

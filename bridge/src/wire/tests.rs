@@ -160,9 +160,9 @@ fn invalid_numbers_are_refused() {
 
 #[test]
 fn the_reported_layouts_are_those_of_all_built_in_types() {
-    let told = layouts();
-    let is_reported = |name: &str| told.split(' ').any(|one| one == name);
-    assert!(is_reported(HEADER_TYPE_NAME) && BUILT_IN.iter().all(|item| is_reported(item.type_name())), "{told}");
+    let reported = layouts();
+    let is_reported = |name: &str| reported.split(' ').any(|one| one == name);
+    assert!(is_reported(HEADER_TYPE_NAME) && BUILT_IN.iter().all(|item| is_reported(item.type_name())), "{reported}");
 }
 
 #[test]
