@@ -2,14 +2,15 @@
 
 use crate::channel::Channel;
 use crate::error::BridgeError;
-use crate::peer::counts::{EdgeCounts, MalformedCounter};
+use crate::gate::{Gate, Refusals};
+use crate::peer::counts::EdgeCounts;
 use crate::peer::heartbeat::Ack;
 use crate::peer::links::Links;
 use crate::reliable::passed_on::PassedOn;
 use crate::reliable::retransmit_queue::END_PATIENCE;
 use crate::reliable::sequence::{Claim, Sequence, Verdict};
-use crate::sending::Shared;
 use crate::session::Subscriber;
+use crate::shared::Shared;
 use crate::wire::codec::{Codec, codec_of};
 use crate::wire::seal::session_of;
 use crate::wire::{StreamPosition, WireError, open_message, position_of};
@@ -258,6 +259,23 @@ impl<'a> Receiving<'a> {
         Ok((position, header))
     }
 
+    /// Decides whether a message is to be taken; reports messages that turn out to be forged.
+    fn judge(&mut self, claim: Claim) -> Verdict {
+        let (stream, _) = self.sequence.expected();
+        let verdict = self.sequence.judge(claim, Instant::now());
+        if self.sequence.expected().0 != stream {
+            self.follow.clear();
+        }
+        if self.sequence.take_misled() {
+            self.refusals.warn_of_forgery("took", "its number was one that has not been reached");
+        }
+        if self.sequence.take_refuted() {
+            self.refusals.warn_of_forgery("left out", "what followed contradicts it");
+        }
+        verdict
+    }
+
+    /// Writes a message into shared memory, with its times by this machine's clock; with `latest`, drops it if it is stale.
     fn pass_on(&mut self, mut header: Header, wire_bytes: usize) -> Result<(), PortError> {
         if header.ends_stream() {
             return Ok(());
@@ -296,22 +314,6 @@ impl<'a> Receiving<'a> {
         }
         self.acknowledge();
     }
-
-    /// Decides whether a message is to be taken; reports messages that turn out to be forged.
-    fn judge(&mut self, claim: Claim) -> Verdict {
-        let (stream, _) = self.sequence.expected();
-        let verdict = self.sequence.judge(claim, Instant::now());
-        if self.sequence.expected().0 != stream {
-            self.follow.clear();
-        }
-        if self.sequence.take_misled() {
-            self.refusals.warn_of_forgery("took", "its number was one that has not been reached");
-        }
-        if self.sequence.take_refuted() {
-            self.refusals.warn_of_forgery("left out", "what followed contradicts it");
-        }
-        verdict
-    }
 }
 
 /// Since when all readers of an edge have been absent.
@@ -340,77 +342,10 @@ fn to_own_clock(header: &mut Header, offset_ns: Option<i64>, now_ns: u64) -> Dur
     Duration::from_nanos(now_ns - own(sent_ns))
 }
 
-/// Admits the messages that come under the Zenoh key of an edge. It stands before the [`Channel`], so that refused messages take
-/// no room there.
-struct Gate {
-    zenoh_key: String,
-    from: String,
-    links: Arc<Links>,
-    refusals: Arc<Refusals>,
-}
-
-impl Gate {
-    /// Whether a message was made by the present session of the other machine's bridge. Messages of a session that has not proved
-    /// itself yet are dropped without being counted: they come again, or are not wanted yet.
-    fn admits(&self, bytes: &[u8]) -> bool {
-        let opened = self.links.seal().verify(&self.zenoh_key, bytes);
-        let present = opened.map(|session| self.links.is_present(&self.from, session));
-        match present {
-            Ok(Ok(is_present)) => return is_present,
-            Ok(Err(reason)) => self.refusals.leave_out(&reason),
-            Err(error) => self.refusals.leave_out(&error),
-        }
-        false
-    }
-}
-
-/// Counts the refused messages of an edge, and logs them now and then.
-struct Refusals {
-    topic: String,
-    from: String,
-    left_out: MalformedCounter,
-    /// Counted separately: otherwise a flood of undecodable messages would suppress the reports of forged ones.
-    forged: MalformedCounter,
-}
-
-impl Refusals {
-    fn new(edge: &Edge, counts: Arc<EdgeCounts>) -> Self {
-        let (topic, from) = (edge.topic.name.clone(), edge.from.clone());
-        let left_out = MalformedCounter::new(Arc::clone(&counts));
-        Self { topic, from, left_out, forged: MalformedCounter::new(counts) }
-    }
-
-    fn warn_of_forgery(&self, did: &str, why: &str) {
-        let Self { topic, from, .. } = self;
-        self.forged.add(format_args!(
-            "{did} a message of topic `{topic}` that machine `{from}` has not sent: {why}\n  \
-             hint: any machine that can connect can send; with the same `key` on all machines only these can"
-        ));
-    }
-
-    fn leave_out(&self, reason: &dyn std::fmt::Display) {
-        let Self { topic, from, .. } = self;
-        self.left_out.add(format_args!("left out a message of topic `{topic}` from machine `{from}`: {reason}"));
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::edge_tests;
-    use crate::peer::heartbeat::News;
-    use crate::peer::journal::Journal;
-    use crate::wire::encode_message;
-    use crate::wire::seal::{Seal, secret};
-    use conicflow_dataflow::pipeline::Compression;
-    use conicflow_dataflow::{BridgePlan, ItemType};
-    use conicflow_messages::{Hop, Object};
-
-    const ZENOH_KEY: &str = "conicflow/tracking/robot/objects";
-
-    fn edge(from: &str) -> Edge {
-        Edge { from: from.to_owned(), ..edge_tests::edge(Delivery::Latest, BRIDGE) }
-    }
+    use conicflow_messages::Hop;
 
     /// Returns the hops `[received_ns, sent_ns]` of a message that two stages have sent, by this machine's clock, which reads
     /// 1000, and how long it was under way.
@@ -461,46 +396,5 @@ mod tests {
             checks(&[(0, true), (4, false), (5, true), (10, true), (11, true)]),
             [false, false, false, false, true]
         );
-    }
-
-    fn sealed(seal: &Seal, zenoh_key: &str) -> Vec<u8> {
-        let (item, header) = (ItemType::of::<Object>(), Header::default());
-        let mut bytes = encode_message(StreamPosition::default(), &item, &header, &[], Compression::None).unwrap();
-        seal.sign(zenoh_key, &mut bytes);
-        bytes
-    }
-
-    #[test]
-    fn only_messages_of_the_present_session_of_the_other_bridge_pass_and_others_are_counted() {
-        let secrets = [secret(), secret()];
-        let links = |machine: &str, peer: &str, session: u64| {
-            let plan = BridgePlan { machine: machine.into(), incoming: vec![edge(peer)], ..BridgePlan::default() };
-            Arc::new(Links::new(Journal::open(None, 7, session), Seal::new(Some(&secrets[0]), session), &plan))
-        };
-        let (theirs, ours) = (links("robot", "base", 5), links("base", "robot", 9));
-        let counts = Arc::<EdgeCounts>::default();
-        let refusals = Arc::new(Refusals::new(&edge("robot"), Arc::clone(&counts)));
-        let (zenoh_key, from) = (ZENOH_KEY.to_owned(), "robot".to_owned());
-        let gate = Gate { zenoh_key, from, links: Arc::clone(&ours), refusals };
-        let good = sealed(theirs.seal(), ZENOH_KEY);
-        assert!(!gate.admits(&good), "it has not proved to be the present one");
-        assert_eq!(counts.malformed.load(Ordering::Relaxed), 0);
-        for _ in 0..2 {
-            theirs.send_heartbeat("@robot", News::default(), |bytes| ours.receive_heartbeat("robot", "@robot", &bytes));
-            ours.send_heartbeat("@base", News::default(), |bytes| theirs.receive_heartbeat("base", "@base", &bytes));
-        }
-        assert!(gate.admits(&good));
-        let changed = |at: usize| [&good[..at], &[good[at] ^ 1], &good[at + 1..]].concat();
-        let mut refused: Vec<Vec<u8>> = (0..good.len()).map(changed).collect();
-        refused.extend([
-            sealed(theirs.seal(), "conicflow/tracking/robot/tracks"),
-            sealed(&Seal::new(Some(&secrets[0]), 4), ZENOH_KEY),
-            sealed(&Seal::new(Some(&secrets[1]), 5), ZENOH_KEY),
-            sealed(&Seal::new(None, 5), ZENOH_KEY),
-            b"garbage".to_vec(),
-        ]);
-        let passed: Vec<_> = refused.iter().filter(|bytes| gate.admits(bytes)).collect();
-        assert!(passed.is_empty(), "{passed:?}");
-        assert_eq!(counts.malformed.load(Ordering::Relaxed), refused.len() as u64);
     }
 }

@@ -6,16 +6,16 @@ use crate::peer::counts::{EdgeCounts, MalformedCounter};
 use crate::peer::links::Links;
 use crate::reliable::retransmit_queue::RetransmitQueue;
 use crate::reliable::send_log::SendLog;
-use crate::session::{Publisher, Sessions};
+use crate::session::Publisher;
+use crate::shared::Shared;
 use crate::wire::codec::{Codec, codec_of};
 use crate::wire::{StreamPosition, WireError, message_bytes};
 use conicflow_dataflow::pipeline::BRIDGE;
 use conicflow_dataflow::ports::{Delivery, Received, Transport};
-use conicflow_dataflow::relay::{InputPort, Peers, SharedMemory, SharedReader, end_of_stream};
+use conicflow_dataflow::relay::{InputPort, Peers, SharedReader, end_of_stream};
 use conicflow_dataflow::{Edge, InputCounts, Stop, monotonic_ns};
 use conicflow_messages::{Header, Text};
 use std::collections::BTreeSet;
-use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
@@ -29,29 +29,6 @@ const LISTS_WAIT: Duration = Duration::from_millis(100);
 const IMAGES_WAIT: Duration = Duration::from_millis(40);
 /// How often a full queue checks for acknowledgements.
 const FULL_CHECK_PERIOD: Duration = Duration::from_millis(2);
-
-/// The state that the threads of a bridge share.
-pub(super) struct Shared<'a> {
-    pub sessions: &'a Sessions,
-    pub transport: &'a SharedMemory,
-    pub links: &'a Arc<Links>,
-    pub pipeline: &'a str,
-    pub machine: &'a str,
-    /// Number of this start of the bridge.
-    pub session: u64,
-    /// The folder for the log of unacknowledged messages, if another process may replace this one.
-    pub log_folder: Option<&'a Path>,
-    pub outage: Duration,
-    pub peers: &'a Peers,
-    pub stop: &'a Stop,
-}
-
-impl Shared<'_> {
-    /// The Zenoh key of a topic that machine `from` writes.
-    pub(super) fn key(&self, from: &str, topic: &str) -> String {
-        format!("conicflow/{}/{from}/{topic}", self.pipeline)
-    }
-}
 
 /// The sending thread of one edge.
 pub(super) struct Sending<'a> {

@@ -136,10 +136,10 @@ impl Links {
     /// Processes a heartbeat that came under this Zenoh key.
     pub(crate) fn receive_heartbeat(&self, machine: &str, zenoh_key: &str, bytes: &[u8]) {
         let now_ns = monotonic_ns();
-        let opened = self.seal.verify(zenoh_key, bytes).and_then(|_| decode_note::<Heartbeat>(bytes));
+        let verified = self.seal.verify(zenoh_key, bytes).and_then(|_| decode_note::<Heartbeat>(bytes));
         let mut peers = lock(&self.peers);
         let Some(peer) = peers.get_mut(machine) else { return };
-        match opened {
+        match verified {
             Ok(Heartbeat { layouts: theirs, .. }) if theirs != layouts() => {
                 refuse(machine, peer, &WireError::Layout { ours: layouts(), theirs });
             }
