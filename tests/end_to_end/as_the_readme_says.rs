@@ -119,8 +119,8 @@ fn a_user_with_a_camera_reads_what_is_missing() {
     shell.current_dir(ROOT).env_remove("VIRTUAL_ENV");
     let ended = Started::new(shell).wait().expect_code(2);
     // Of this checkout, or of the package for Debian where that is installed.
-    let ways = ["-m pip install \"./python[realsense]\"`", "sudo /opt/conicflow/bin/pip install pyrealsense2`"];
-    assert!(ways.iter().any(|way| ended.stderr.contains(way)), "{}", ended.stderr);
+    let commands = ["-m pip install \"./python[realsense]\"`", "sudo /opt/conicflow/bin/pip install pyrealsense2`"];
+    assert!(commands.iter().any(|command| ended.stderr.contains(command)), "{}", ended.stderr);
 }
 
 /// Whether these programs are there; what was not shown is said where one is not.
@@ -170,8 +170,8 @@ fn a_user_with_a_program_in_c_gets_objects_from_the_library() {
     let block = include_str!("../../docs/c.md").split("```console\n").nth(1).unwrap().split("```").next().unwrap();
     let lines: Vec<_> = block.lines().filter_map(|line| line.strip_prefix("$ ")).collect();
     assert!(lines.len() == 3 && lines[0].starts_with(command), "{block}");
-    let told = String::from_utf8(done(&lines.join("\n"), &folder).stdout).unwrap();
-    assert!(told.starts_with("sphere at (") && told.contains(" 1.000) m, radius 0.1500 m +- "), "{told}");
+    let output = String::from_utf8(done(&lines.join("\n"), &folder).stdout).unwrap();
+    assert!(output.starts_with("sphere at (") && output.contains(" 1.000) m, radius 0.1500 m +- "), "{output}");
 }
 
 /// Makes an environment of its own in `venv`, and has what the package needs come. pip and NumPy are those of PYTHON where it has
@@ -231,8 +231,12 @@ fn a_user_with_python_installs_the_package_and_finds_objects() {
                   fx, fy, cx, cy = 525, 525, 319.5, 239.5\n";
     playground.write("found.py", &format!("{before}{block}"));
     let found = run("python found.py", &playground.path("."));
-    let told = String::from_utf8_lossy(&found.stdout);
-    assert!(told.starts_with("sphere [") && told.contains("0.15"), "{told}{}", String::from_utf8_lossy(&found.stderr));
+    let output = String::from_utf8_lossy(&found.stdout);
+    assert!(
+        output.starts_with("sphere [") && output.contains("0.15"),
+        "{output}{}",
+        String::from_utf8_lossy(&found.stderr)
+    );
 }
 
 #[test]
@@ -256,9 +260,9 @@ fn a_user_with_a_robot_builds_a_debian_package() {
         return;
     }
     let [command, ..] = commands("a robot to run it on")[..] else { panic!("a command") };
-    let told = String::from_utf8(done(command, &checkout()).stdout).unwrap();
+    let output = String::from_utf8(done(command, &checkout()).stdout).unwrap();
     let playground = Playground::with_pipeline(TRACKING);
-    done(&format!("dpkg-deb -x {} root", told.lines().last().unwrap()), &playground.path("."));
+    done(&format!("dpkg-deb -x {} root", output.lines().last().unwrap()), &playground.path("."));
     let program = playground.path("root/usr/bin/conicflow");
     Started::new(playground.command_of(&program, &["run", "--frames", "12"])).wait().expect_code(0);
     assert_eq!(playground.lines("tracks.jsonl").len(), 12);

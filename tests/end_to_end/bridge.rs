@@ -145,10 +145,11 @@ fn messages_of_another_machine_are_listed_under_their_topic() {
     let machines = live_machines();
     let mut runs = [start(&machines[0], "robot"), start(&machines[1], "base")];
     runs[1].wait_until("tracks arrive", || newest(&machines[1]) > 20);
-    let look = |arguments: &[&str]| machines[1].conicflow(&[&["topic"], arguments].concat()).expect_code(0).stdout;
+    let topic_output =
+        |arguments: &[&str]| machines[1].conicflow(&[&["topic"], arguments].concat()).expect_code(0).stdout;
     // Rates are those of the last second, in which a busy host may have carried nothing.
     runs[1].wait_until("the list tells its rate", || {
-        let list = look(&["list"]);
+        let list = topic_output(&["list"]);
         let row = list.lines().find(|line| line.starts_with("ellipses ")).unwrap_or_else(|| panic!("{list}"));
         let words: Vec<_> = row.split_whitespace().collect();
         assert_eq!(
@@ -159,7 +160,7 @@ fn messages_of_another_machine_are_listed_under_their_topic() {
     });
     for (figure, unit) in [("hz", "Hz"), ("bw", "MB/s")] {
         runs[1].wait_until("a second in which it carries something", || {
-            let line = look(&[figure, "ellipses", "--count", "1"]);
+            let line = topic_output(&[figure, "ellipses", "--count", "1"]);
             let words: Vec<_> = line.split([' ', ',']).collect();
             assert!(words[0] == "ellipses:" && words[2] == unit, "{line}");
             words[1].parse::<f64>().unwrap() > 0.0

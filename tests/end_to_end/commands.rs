@@ -134,7 +134,7 @@ fn help_names_the_commands() {
 #[test]
 fn wrong_arguments_are_refused() {
     let playground = Playground::with_pipeline(TRACKING);
-    for (arguments, told) in [
+    for (arguments, expected) in [
         (&["walk"][..], "unrecognized subcommand 'walk'"),
         (&["graph", "--log", "debgu"], "`debgu` is no level\n  hint: error, warn, info, debug or trace"),
         (&["run", "--frames", "0"], "invalid value '0' for '--frames <N>'"),
@@ -143,7 +143,7 @@ fn wrong_arguments_are_refused() {
         (&["node", "sourc"], "there is no stage `sourc` in this pipeline\n  hint: "),
     ] {
         let ended = playground.conicflow(arguments).expect_code(2);
-        assert!(ended.stderr.contains(told), "{arguments:?}: {}", ended.stderr);
+        assert!(ended.stderr.contains(expected), "{arguments:?}: {}", ended.stderr);
     }
 }
 
@@ -158,15 +158,15 @@ fn a_closed_or_full_output_ends_a_command() {
         let (reader, writer) = std::io::pipe().unwrap();
         drop(reader);
         let ended = playground.command(arguments).stdout(writer).stderr(Stdio::piped()).output().unwrap();
-        let told = String::from_utf8_lossy(&ended.stderr);
-        assert!(ended.status.success() && told.is_empty(), "{arguments:?}: {told}");
+        let log = String::from_utf8_lossy(&ended.stderr);
+        assert!(ended.status.success() && log.is_empty(), "{arguments:?}: {log}");
         let Ok(full) = File::options().write(true).open("/dev/full") else {
             eprintln!("skipped: this system has no /dev/full");
             continue;
         };
         let ended = playground.command(arguments).stdout(full).stderr(Stdio::piped()).output().unwrap();
-        let told = String::from_utf8_lossy(&ended.stderr);
-        assert!(ended.status.code() == Some(1) && told.contains("No space left on device"), "{arguments:?}: {told}");
+        let log = String::from_utf8_lossy(&ended.stderr);
+        assert!(ended.status.code() == Some(1) && log.contains("No space left on device"), "{arguments:?}: {log}");
     }
 }
 
@@ -195,7 +195,7 @@ fn machines_have_to_be_chosen() {
         "{}",
         ended.stderr
     );
-    for (arguments, told) in [
+    for (arguments, expected) in [
         (&["node", "json"][..], "the pipeline spans the machines `base`, `robot`\n  hint: "),
         (&["node", "json", "--machine", "robt"], "there is no machine `robt` in the pipeline\n  hint: "),
         (
@@ -204,7 +204,7 @@ fn machines_have_to_be_chosen() {
         ),
     ] {
         let ended = playground.conicflow(arguments).expect_code(2);
-        assert!(ended.stderr.starts_with(&format!("error: {told}")), "{arguments:?}: {}", ended.stderr);
+        assert!(ended.stderr.starts_with(&format!("error: {expected}")), "{arguments:?}: {}", ended.stderr);
     }
     playground.conicflow(&["run", "--machine", "robot", "--frames", "3"]).expect_code(0);
     assert_eq!(playground.sequences("tracks.jsonl"), [0, 1, 2]);
@@ -236,6 +236,6 @@ fn another_validator_names_the_fault() {
     let mut command = Command::new(python);
     command.arg(root.join("tests/end_to_end/schema.py")).arg(playground.path("schema.json"));
     command.arg(root.join("pipeline.toml")).args(of("examples")).args(of("experiments"));
-    let told = Started::new(command).wait().expect_code(0).stdout;
-    assert!(told.ends_with(" files\n"), "{told}");
+    let output = Started::new(command).wait().expect_code(0).stdout;
+    assert!(output.ends_with(" files\n"), "{output}");
 }

@@ -97,8 +97,8 @@ fn both_recordings_are_shown_together_and_matched_as_they_were_compared() {
     let playground = Playground::with_pipeline(&simulated());
     let compared = compared(&playground, &[&["--record", "kept", "--a"], &PAPER[..]].concat());
     let page = Page::open(&playground, &["kept/a.mcap", "kept/b.mcap"]);
-    page.wish(&json!({ "do": "pause" }));
-    page.wish(&json!({ "do": "seek", "at_s": 0.0 }));
+    page.send_command(&json!({ "do": "pause" }));
+    page.send_command(&json!({ "do": "seek", "at_s": 0.0 }));
     let (mut both, mut alone) = (0, [0, 0]);
     for sequence in 0..8 {
         let is_it = |json: &Json| json["frame"]["sequence"] == sequence && json["player"]["plays"] == false;
@@ -115,7 +115,7 @@ fn both_recordings_are_shown_together_and_matched_as_they_were_compared() {
         for (count, variant) in alone.iter_mut().zip(["a", "b"]) {
             *count += found.iter().filter(|item| item["variant"] == variant && !paired(item)).count() as u64;
         }
-        page.wish(&json!({ "do": "step", "by": 1 }));
+        page.send_command(&json!({ "do": "step", "by": 1 }));
     }
     let of_other_kind: u64 =
         compared["other_kind"].as_array().unwrap().iter().map(|row| row["times"].as_u64().unwrap()).sum();
@@ -141,25 +141,25 @@ fn tracks_are_compared_on_request() {
 #[test]
 fn errors_name_the_variant_that_they_are_in() {
     let playground = Playground::with_pipeline(&simulated());
-    let told = |arguments: &[&str], code: i32| {
+    let log = |arguments: &[&str], code: i32| {
         let ended = playground.conicflow(&[&["compare"], arguments].concat()).expect_code(code);
         assert_eq!(ended.stdout, "");
         ended.stderr
     };
-    let wrong_b = told(&["--a", "extractor.scan=rows", "--b", "extractor.scna=rows"], 2);
+    let wrong_b = log(&["--a", "extractor.scan=rows", "--b", "extractor.scna=rows"], 2);
     assert!(
         wrong_b.starts_with("variant b, extractor.scna=rows:\nerror: --set:1:1: ") && wrong_b.contains("`scan`?"),
         "{wrong_b}"
     );
-    let wrong_both = told(&["--set", "extractor.scna=rows", "--b", "extractor.line_step=2"], 2);
+    let wrong_both = log(&["--set", "extractor.scna=rows", "--b", "extractor.line_step=2"], 2);
     assert!(wrong_both.starts_with("error: --set:1:1: unknown key `scna`"), "{wrong_both}");
-    assert!(told(&[], 2).starts_with("error: the variants are the same\n  hint: "));
-    let topic = told(&["--topic", "cones", "--b", "extractor.scan=rows"], 2);
+    assert!(log(&[], 2).starts_with("error: the variants are the same\n  hint: "));
+    let topic = log(&["--topic", "cones", "--b", "extractor.scan=rows"], 2);
     assert!(
         topic.contains("no stage writes objects or tracks to a topic `cones`") && topic.contains("`tracks`"),
         "{topic}"
     );
-    let other_frames = told(&["--b", "source.scene=bouncing_ball"], 2);
+    let other_frames = log(&["--b", "source.scene=bouncing_ball"], 2);
     assert!(other_frames.contains("did not see the same frames: a has frame 0 of `tabletop`"), "{other_frames}");
 }
 

@@ -38,12 +38,12 @@ fn detect_finds_what_the_pipeline_finds_bit_for_bit() {
     assert_eq!(detected.len(), 12);
     // The stamps follow `rate_hz`; of what nobody paces they are those of 30 frames per second in both.
     assert_eq!(detected, piped);
-    let told = playground.conicflow(&["detect", "frames", "--camera", &camera, "--out", "-"]).expect_code(0);
-    assert_eq!(results(&told.stdout), detected);
+    let printed = playground.conicflow(&["detect", "frames", "--camera", &camera, "--out", "-"]).expect_code(0);
+    assert_eq!(results(&printed.stdout), detected);
     assert!(!playground.path("-").exists());
     let objects: usize = detected.iter().map(|line| line["objects"].as_array().unwrap().len()).sum();
     assert!(objects >= 12, "{objects} objects in 12 frames");
-    ended.expect_told(&["in 12 frames: ", "cylinder"]);
+    ended.expect_texts(&["in 12 frames: ", "cylinder"]);
 }
 
 #[test]
@@ -52,10 +52,10 @@ fn options_for_pictures_are_refused_without_pictures() {
     let camera = record(&playground, 2);
     for how in [["--zoom", "2"], ["--every", "2"], ["--moving-width", "100"], ["--sheet", "2"]] {
         let ended = playground.conicflow(&[&["detect", "frames", "--camera", &camera], &how[..]].concat());
-        ended.expect_code(2).expect_told(&["the following required arguments were not provided"]);
+        ended.expect_code(2).expect_texts(&["the following required arguments were not provided"]);
     }
     let gif = playground.conicflow(&["detect", "frames", "--camera", &camera, "--moving", "m.gif"]).expect_code(2);
-    gif.expect_told(&["`m.gif` will be a PNG that moves (APNG)\n  hint: name it `m.png`"]);
+    gif.expect_texts(&["`m.gif` will be a PNG that moves (APNG)\n  hint: name it `m.png`"]);
 }
 
 #[test]
@@ -63,13 +63,13 @@ fn frames_in_deeper_folders_and_broken_links_are_reported() {
     let playground = Playground::new();
     fs::create_dir_all(playground.path("nest/seq")).unwrap();
     std::os::unix::fs::symlink("/nowhere/seq", playground.path("nest/next")).unwrap();
-    playground.conicflow(&["detect", "nest"]).expect_code(2).expect_told(&[
+    playground.conicflow(&["detect", "nest"]).expect_code(2).expect_texts(&[
         "and no other files; 1 folders are in it, such as `seq`: name that which has them; 1 links lead nowhere",
     ]);
     let taken_for_a_file = playground.conicflow(&["run", "nest"]).expect_code(2);
-    taken_for_a_file.expect_told(&["hint: `conicflow detect` takes frames and recordings"]);
+    taken_for_a_file.expect_texts(&["hint: `conicflow detect` takes frames and recordings"]);
     std::os::unix::fs::symlink("/nowhere/1.png", playground.path("nest/1.png")).unwrap();
-    playground.conicflow(&["detect", "nest"]).expect_code(2).expect_told(&["1.png`: a link that leads nowhere"]);
+    playground.conicflow(&["detect", "nest"]).expect_code(2).expect_texts(&["1.png`: a link that leads nowhere"]);
 }
 
 #[test]

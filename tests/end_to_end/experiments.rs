@@ -237,7 +237,7 @@ fn the_same_file_gives_the_same_table() {
 fn a_wrong_experiment_is_refused() {
     let playground = playground("accuracy", &[("source.values.distance", "source.values.distanse")]);
     let ended = playground.conicflow(&["validate", "accuracy.toml"]).expect_code(2);
-    ended.expect_told(&["the scene has no value `distanse`"]);
+    ended.expect_texts(&["the scene has no value `distanse`"]);
     let playground = self::playground("accuracy", &[]);
     for command in ["validate", "run"] {
         let ended = playground.conicflow(&[command, "accuracy.toml", "--set", "source.values.distance=2"]);
@@ -254,7 +254,7 @@ fn a_wrong_experiment_is_refused() {
     }
     let playground = self::playground("accuracy", &[("name = \"distance\"", "name = \"n\"")]);
     let ended = playground.conicflow(&["validate", "accuracy.toml"]).expect_code(2);
-    ended.expect_told(&["`vary` has the name `n`, as a column has that is measured"]);
+    ended.expect_texts(&["`vary` has the name `n`, as a column has that is measured"]);
 }
 
 #[test]
@@ -262,7 +262,7 @@ fn results_that_cannot_be_written_are_reported_before_anything_is_measured() {
     let playground = playground("accuracy", &[]);
     fs::write(playground.path("results"), "no folder").unwrap();
     let ended = playground.conicflow(&["run", "accuracy.toml"]).expect_code(2);
-    ended.expect_told(&["cannot write `", "results/accuracy.csv`: ", "a part of the path before the last is a file"]);
+    ended.expect_texts(&["cannot write `", "results/accuracy.csv`: ", "a part of the path before the last is a file"]);
     assert!(!ended.stderr.contains("run 1 of"), "{}", ended.stderr);
 }
 
@@ -272,7 +272,7 @@ fn a_run_ends_at_the_first_frame_without_a_truth() {
     let playground = playground("recording", &[]);
     playground.record_with_camera(Scene::built_in("tabletop").unwrap().unwrap(), 5, 3);
     let ended = playground.conicflow(&["run", "recording.toml", "--set", "source.path=frames"]).expect_code(1);
-    ended.expect_told(&["the truth of the frames of `0.png` is not known", "`truth` the truth file of a recording"]);
+    ended.expect_texts(&["the truth of the frames of `0.png` is not known", "`truth` the truth file of a recording"]);
     assert_eq!(ended.stage("evaluation").starts, 1, "{}", ended.stderr);
 }
 
@@ -285,7 +285,7 @@ fn an_experiment_that_is_ended_from_outside_shows_the_runs_before() {
     run.wait_for_text("run 3 of 4");
     signal(run.id(), Signal::INT);
     let ended = run.wait().expect_code(1);
-    ended.expect_told(&["was ended from outside", "the tables and files have the first 2 of 4 runs"]);
+    ended.expect_texts(&["was ended from outside", "the tables and files have the first 2 of 4 runs"]);
     let rows = playground.lines("results/accuracy.csv");
     assert!(rows.len() == 5 && rows[1..].iter().all(|row| row.starts_with("2,")), "{rows:?}");
 }
@@ -334,7 +334,7 @@ fn a_recording_that_is_too_short_to_measure_the_noise_is_reported_once() {
     let playground = playground("noise", &[]);
     record(&playground, "scenes/basic.toml", 3);
     let ended = playground.conicflow(&["run", "noise.toml", "--set", "source.path=frames"]).expect_code(1);
-    ended.expect_told(&[
+    ended.expect_texts(&[
         "the recording has 3 frames, but a static scene needs",
         "stage `estimator` failed at the end of its work",
     ]);

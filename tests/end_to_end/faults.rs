@@ -46,10 +46,11 @@ fn expect_two_deaths_each(run: Started, playground: &Playground, frames: u64) ->
     let lost = ended.input("objects", "faulty");
     assert_eq!((lost.dropped, lost.gaps), (frames, frames), "{}", ended.stderr);
     for frame in 20..20 + frames {
-        let told = format!("stage `faulty` leaves out frame {frame} of topic `objects`, which it has died of 2 times");
-        assert_eq!(ended.stderr.matches(&told).count(), 1, "{told}: {}", ended.stderr);
+        let report =
+            format!("stage `faulty` leaves out frame {frame} of topic `objects`, which it has died of 2 times");
+        assert_eq!(ended.stderr.matches(&report).count(), 1, "{report}: {}", ended.stderr);
     }
-    ended.expect_told(&[&format!(
+    ended.expect_texts(&[&format!(
         "not complete: `faulty` lost {frames} of {sent} messages of the lossless topic `objects`"
     )]);
     assert_eq!(ended.input("passed_on", "tracker").gaps, frames, "{}", ended.stderr);
@@ -65,9 +66,9 @@ fn a_panic_is_reported_with_its_frame_and_the_next_frame_is_processed() {
     let playground = with_faulty_stage("panic_at = 20");
     let mut run = start(&playground);
     wait_for_frame(&mut run, &playground, 40);
-    let told = expect_two_deaths_each(run, &playground, 1);
-    assert!(told.contains("at frame 20: panicked: this frame is too much"), "{told}");
-    assert!(told.contains("stage `faulty` ended with exit code 1, and is started anew"), "{told}");
+    let log = expect_two_deaths_each(run, &playground, 1);
+    assert!(log.contains("at frame 20: panicked: this frame is too much"), "{log}");
+    assert!(log.contains("stage `faulty` ended with exit code 1, and is started anew"), "{log}");
 }
 
 /// What was left out does not come again when the stage dies of what follows.
@@ -84,9 +85,9 @@ fn a_stage_that_hangs_is_killed_and_restarted_if_the_file_says_so() {
     let playground = with_faulty_stage("hang_at = 20\nrestart = { when = \"on_failure\", hang_s = 3 }");
     let mut run = start(&playground);
     wait_for_frame(&mut run, &playground, 40);
-    let told = expect_two_deaths_each(run, &playground, 1);
-    assert!(told.contains("stage `faulty` hangs after 20 messages, "), "{told}");
-    assert!(told.contains("stage `faulty` was killed by signal 9, and is started anew"), "{told}");
+    let log = expect_two_deaths_each(run, &playground, 1);
+    assert!(log.contains("stage `faulty` hangs after 20 messages, "), "{log}");
+    assert!(log.contains("stage `faulty` was killed by signal 9, and is started anew"), "{log}");
 }
 
 #[test]
@@ -95,8 +96,8 @@ fn a_stage_that_is_stopped_is_reported_and_goes_on() {
     let tracker = stages_of(run.id())["tracker"];
     signal(tracker, Signal::STOP);
     run.wait_until("its silence is seen", || {
-        let seen = playground.top();
-        let stages = seen["stages"].as_array().unwrap();
+        let state = playground.top();
+        let stages = state["stages"].as_array().unwrap();
         let silence = |name: &str| stages.iter().find(|stage| stage["stage"] == name).unwrap()["silent_s"].as_f64();
         // A stage that waits for another is alive.
         silence("tracker") > Some(3.0) && silence("assembler") < Some(2.0)
@@ -107,7 +108,7 @@ fn a_stage_that_is_stopped_is_reported_and_goes_on() {
     wait_for_lines(&mut run, &playground);
     let ended = run.end();
     assert_eq!(ended.stage("tracker").starts, 1, "{}", ended.stderr);
-    ended.expect_told(&["hint: with restart = { when = \"on_failure\", hang_s = 5 }"]);
+    ended.expect_texts(&["hint: with restart = { when = \"on_failure\", hang_s = 5 }"]);
     playground.expect_each_frame(&ended);
 }
 
@@ -116,16 +117,20 @@ fn malformed_messages_in_shared_memory_are_counted_and_left_out() {
     let playground = with_faulty_stage("nonsense_at = 20");
     let mut run = start(&playground);
     wait_for_frame(&mut run, &playground, 40);
-    let seen = playground.top();
-    let inputs = seen["inputs"].as_array().unwrap();
+    let state = playground.top();
+    let inputs = state["inputs"].as_array().unwrap();
     let malformed = |name: &str| inputs.iter().find(|input| input["reader"] == name).unwrap()["malformed"].as_u64();
-    assert_eq!((malformed("faulty"), malformed("tracker"), malformed("json")), (Some(0), Some(3), Some(0)), "{seen:#}");
+    assert_eq!(
+        (malformed("faulty"), malformed("tracker"), malformed("json")),
+        (Some(0), Some(3), Some(0)),
+        "{state:#}"
+    );
     signal(run.id(), Signal::INT);
     let ended = run.wait().expect_code(1);
     assert_eq!((ended.stage("faulty").starts, ended.stage("tracker").starts), (1, 1), "{}", ended.stderr);
     let sequences = playground.sequences("tracks.jsonl");
     let made = ended.stage("source").messages;
-    ended.expect_told(&[&format!(
+    ended.expect_texts(&[&format!(
         "not complete: `tracker` lost 3 of {made} messages of the lossless topic `passed_on`, 3 of them because they made no sense"
     )]);
     assert!(sequences.iter().copied().eq((0..20).chain(23..made)), "{sequences:?}");
@@ -150,15 +155,15 @@ fn malformed_messages_do_not_leave_their_machine_and_are_counted_at_the_edge() {
     let malformed = |machine: &Playground| top_link(machine)["edges"][0]["malformed"].as_u64();
     runs[0].wait_until("it is counted", || malformed(&robot) == Some(3));
     assert_eq!(malformed(&base), Some(0));
-    let told = "left out a message of topic `passed_on`";
-    assert!(runs[0].stderr().contains(told) && !runs[1].stderr().contains(told), "{}", runs[0].stderr());
+    let report = "left out a message of topic `passed_on`";
+    assert!(runs[0].stderr().contains(report) && !runs[1].stderr().contains(report), "{}", runs[0].stderr());
     signal(runs[0].id(), Signal::INT);
     let [ended, ended_base] = runs.map(|run| run.wait().expect_code(1));
     let made = ended.stage("faulty").messages;
-    ended.expect_told(&[&format!(
+    ended.expect_texts(&[&format!(
         "not complete: machine `base` lost 3 of {made} messages of the lossless topic `passed_on`, 3 of them because they made no sense"
     )]);
-    ended_base.expect_told(&["not complete: `tracker` lost 3 of "]);
+    ended_base.expect_texts(&["not complete: `tracker` lost 3 of "]);
     let sequences = base.sequences("tracks.jsonl");
     assert!(sequences.iter().copied().take(38).eq((0..20).chain(23..41)), "{sequences:?}");
 }
@@ -172,8 +177,8 @@ fn a_run_whose_shared_memory_is_removed_ends_in_order_and_reports_it() {
         std::fs::remove_file(std::path::Path::new("/dev/shm").join(name)).unwrap();
     }
     let ended = run.wait().expect_code(1);
-    let told = "not complete: what its stages share was removed while it went on";
-    assert!(ended.stderr.contains(told) && ended.stderr.contains("RemoveIPC"), "{}", ended.stderr);
+    let report = "not complete: what its stages share was removed while it went on";
+    assert!(ended.stderr.contains(report) && ended.stderr.contains("RemoveIPC"), "{}", ended.stderr);
     let sequences = playground.sequences("tracks.jsonl");
     assert!(sequences.into_iter().eq(0..ended.stage("source").messages), "{}", ended.stderr);
 }
@@ -190,7 +195,7 @@ fn a_run_whose_folder_is_removed_ends_in_order_and_reports_it_even_if_a_stage_di
             signal(tracker, Signal::KILL);
         }
         let ended = run.wait().expect_code(1);
-        ended.expect_told(&[
+        ended.expect_texts(&[
             "ERROR the run ends: its folder `",
             "was removed while it went on\n  hint: systemd removes the folder of a login",
             "not complete: its folder was removed while it went on",
@@ -240,7 +245,7 @@ fn a_program_that_never_joins_is_waited_for_no_longer_than_the_file_says_when_th
     let idle = "\n[stage.idle]\nprogram = [\"sleep\", \"1000\"]\ninput = \"tracks\"\nrestart = { join_s = 15 }\n";
     let playground = Playground::with_pipeline(&format!("{TRACKING}{idle}"));
     let ended = playground.conicflow(&["run", "--frames", "5"]).expect_code(1);
-    ended.expect_told(&[
+    ended.expect_texts(&[
         "the run waits for stage `idle`, which has not joined it: all that write for it have ended",
         "stage `idle` has not joined the run 15 s after its start: nothing can come to it any more",
     ]);
@@ -290,7 +295,7 @@ fn a_program_that_never_joins_a_lossless_topic_is_named_and_ends_the_run() {
     run.wait_until("the program is there", || playground.processes().iter().any(|process| is_sleep(*process)));
     run.wait_for_text("stage `faulty` has not joined the run: `");
     let ended = run.wait().expect_code(1);
-    ended.expect_told(&[
+    ended.expect_texts(&[
         "and topic `objects` waits for it: the run ends if it has not 3 s after its start\n  \
          hint: a program joins by `run_stage`",
         "stage `faulty` has not joined the run 3 s after its start: `",
@@ -320,7 +325,7 @@ fn a_program_that_takes_long_to_start_is_named_and_loses_nothing() {
 fn a_program_started_by_another_than_the_launcher_is_refused_with_a_hint() {
     let playground = with_program(&in_a_shell("", "; exit $?"), "");
     let ended = start(&playground).wait().expect_code(1);
-    let told = "error: stage `faulty` was not started by its launcher itself, which would not hear of its end\n  \
+    let error = "error: stage `faulty` was not started by its launcher itself, which would not hear of its end\n  \
                 hint: name the program";
-    ended.expect_told(&[told, "ERROR stage `faulty` could not start: see its error above"]);
+    ended.expect_texts(&[error, "ERROR stage `faulty` could not start: see its error above"]);
 }

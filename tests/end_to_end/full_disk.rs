@@ -13,11 +13,11 @@ const CAMERA: &str = "262.5,262.5,159.5,119.5";
 /// Makes sure that a run ended because of one stage, which said once why and was not started anew.
 fn expect_failed_for_good(ended: Ended, stage: &str, why: &str) -> Ended {
     let ended = ended.expect_code(1);
-    let told = ended.stderr.lines().filter(|line| line.starts_with("error: ") && line.contains(why));
-    assert_eq!(told.count(), 1, "{}", ended.stderr);
+    let errors = ended.stderr.lines().filter(|line| line.starts_with("error: ") && line.contains(why));
+    assert_eq!(errors.count(), 1, "{}", ended.stderr);
     assert!(ended.stderr.contains(&format!("stage `{stage}` failed at the end of its work: see its error above")));
     assert!(!ended.stderr.contains("is started anew"), "{}", ended.stderr);
-    ended.expect_told(&["\nnot complete: a stage was lost, see above"]);
+    ended.expect_texts(&["\nnot complete: a stage was lost, see above"]);
     ended
 }
 
@@ -26,7 +26,7 @@ fn lines_that_do_not_fit_on_the_disk_end_the_run() {
     let playground = Playground::with_pipeline(TRACKING);
     let ended = playground.conicflow(&["run", "--for", "10min", "--set", "json.path=/dev/full"]);
     let ended = expect_failed_for_good(ended, "json", "cannot write to `/dev/full`: No space left on device");
-    ended.expect_told(&["\n  hint: free some space, or write to another disk\n"]);
+    ended.expect_texts(&["\n  hint: free some space, or write to another disk\n"]);
 }
 
 /// [`TRACKING`] with one more sink, which writes to a disk of its own of this size; what is in it when the run is over, in
@@ -61,7 +61,7 @@ fn a_full_disk_holds_only_whole_lines() {
     let arguments = ["run", "--for", "10min", "--set", "json.path=disk/tracks.jsonl"];
     let Some(ended) = with_a_small_disk("64k", &playground, &arguments) else { return };
     let ended = expect_failed_for_good(ended, "json", "No space left on device");
-    ended.expect_told(&[": cannot write to `", "\n  hint: free some space, or write to another disk\n"]);
+    ended.expect_texts(&[": cannot write to `", "\n  hint: free some space, or write to another disk\n"]);
     assert!(playground.json_lines("left/tracks.jsonl").len() > 10);
     assert!(fs::read_to_string(playground.path("left/tracks.jsonl")).unwrap().ends_with("}\n"));
 }
@@ -79,7 +79,7 @@ pictures = { node = "picture_sink", input = { topic = "tracks", delivery = "loss
 "#;
     let Some((playground, ended)) = on_a_small_disk("256k", sink) else { return };
     let ended = expect_failed_for_good(ended, "pictures", "cannot be written: No space left on device");
-    ended.expect_told(&["\n  hint: free some space, or write to another disk\n"]);
+    ended.expect_texts(&["\n  hint: free some space, or write to another disk\n"]);
     let names = names(&playground);
     assert!(!names.is_empty());
     for name in names {
@@ -107,8 +107,8 @@ fn the_record_command_reports_a_full_disk_and_the_run_goes_on() {
     let arguments = ["record", "-o", "disk/run.mcap"];
     let Some(recorded) = with_a_small_disk("1m", &playground, &arguments) else { return };
     let recorded = recorded.expect_code(1);
-    let told = recorded.stderr.lines().filter(|line| line.starts_with("error: ") && line.contains("No space left"));
-    assert_eq!(told.count(), 1, "{}", recorded.stderr);
+    let errors = recorded.stderr.lines().filter(|line| line.starts_with("error: ") && line.contains("No space left"));
+    assert_eq!(errors.count(), 1, "{}", recorded.stderr);
     let at = playground.newest("tracks.jsonl");
     run.wait_until("the run goes on", || playground.newest("tracks.jsonl") > at + 60);
     let found = playground.conicflow(&["detect", "left/run.mcap", "--out", "found.jsonl"]).expect_code(0);
@@ -131,11 +131,11 @@ fn detect_in_small_files(playground: &Playground, blocks: u32, arguments: &[&str
 }
 
 /// Makes sure that it ended with 1 and one sentence that says why, with a hint.
-fn expect_told_once(ended: Ended, why: &str, hint: &str) {
+fn expect_reported_once(ended: Ended, why: &str, hint: &str) {
     let ended = ended.expect_code(1);
-    let told = ended.stderr.lines().filter(|line| line.contains(why));
-    assert_eq!(told.count(), 1, "{}", ended.stderr);
-    ended.expect_told(&[&format!("\n  hint: {hint}")]);
+    let reports = ended.stderr.lines().filter(|line| line.contains(why));
+    assert_eq!(reports.count(), 1, "{}", ended.stderr);
+    ended.expect_texts(&[&format!("\n  hint: {hint}")]);
 }
 
 #[test]
@@ -145,7 +145,7 @@ fn detect_reports_a_full_disk_and_leaves_no_incomplete_file() {
     let found = playground.conicflow(&["detect", "frames", "--camera", CAMERA]).expect_code(0).stdout;
     let free = "free some space, or write to another disk";
     let full = playground.conicflow(&["detect", "frames", "--camera", CAMERA, "--out", "/dev/full"]);
-    expect_told_once(full, "error: cannot write to `/dev/full`: No space left on device", free);
+    expect_reported_once(full, "error: cannot write to `/dev/full`: No space left on device", free);
 
     // Two lines and a part of the third.
     let ends: Vec<_> = found.match_indices('\n').map(|(at, _)| at + 1).collect();
@@ -153,14 +153,14 @@ fn detect_reports_a_full_disk_and_leaves_no_incomplete_file() {
     assert!(ends[2] > 512 * blocks as usize, "the third line goes beyond");
     let limited = detect_in_small_files(&playground, blocks, &["--out", "found.jsonl"]);
     let raise = "raise the limit of a file's size (`ulimit -f`), or write less";
-    expect_told_once(limited, "error: cannot write to `found.jsonl`: File too large", raise);
+    expect_reported_once(limited, "error: cannot write to `found.jsonl`: File too large", raise);
     let left = fs::read_to_string(playground.path("found.jsonl")).unwrap();
     assert_eq!((left.lines().count(), left.ends_with('\n')), (2, true), "{left}");
 
     for arguments in [["--moving", "small/moving.png"], ["--pictures", "small"]] {
         fs::create_dir_all(playground.path("small")).unwrap();
         let limited = detect_in_small_files(&playground, 8, &arguments);
-        expect_told_once(limited, "cannot be written: File too large", raise);
+        expect_reported_once(limited, "cannot be written: File too large", raise);
         assert_eq!(fs::read_dir(playground.path("small")).unwrap().count(), 0, "{arguments:?}: something is left");
     }
 }
@@ -170,7 +170,7 @@ fn a_comparison_reports_that_its_pictures_do_not_fit_on_the_disk() {
     let playground = Playground::with_pipeline(TRACKING);
     let compare = ["compare", "--frames", "3", "--b", "extractor.scan=rows", "--pictures", "disk"];
     let Some(ended) = with_a_small_disk("12k", &playground, &compare) else { return };
-    expect_told_once(ended, "No space left on device", "free some space, or write to another disk");
+    expect_reported_once(ended, "No space left on device", "free some space, or write to another disk");
     assert!(names(&playground).iter().all(|name| name.ends_with(".png")), "{:?}", names(&playground));
 }
 

@@ -58,7 +58,7 @@ restart = "never"
     // Shells die of it in ways of their own.
     let says_of_what = ["was killed by signal ", "ended with exit code "].iter().any(|what| died[0].contains(what));
     assert!(says_of_what && died[0].contains(", and is not started anew: its `restart` is "), "{}", ended.stderr);
-    ended.expect_told(&["not complete: a stage was lost, see above"]);
+    ended.expect_texts(&["not complete: a stage was lost, see above"]);
     assert_eq!(playground.expect_each_frame(&ended), FRAMES);
     for stage in ["source", "extractor", "assembler", "tracker", "json"] {
         assert_eq!(ended.stage(stage).starts, 1, "{}", ended.stderr);

@@ -77,7 +77,7 @@ fn a_program_of_the_user_logs_as_the_other_stages_do() {
 #[test]
 fn parameters_unknown_to_the_program_end_the_run() {
     let ended = run(&with_nearest_object("max_object = 2")).expect_code(1);
-    ended.expect_told(&[
+    ended.expect_texts(&[
         "error: unknown key `max_object` in `parameters`\n  hint: did you mean `max_objects`?",
         "the run ends, because a stage is lost",
     ]);
@@ -88,7 +88,7 @@ fn a_program_that_takes_another_kind_of_message_ends_the_run() {
     let playground = with_nearest_object("");
     let sets = ["--set", "nearest.input=depth", "--frames", "3"];
     let ended = playground.conicflow(&[&["run"][..], &sets].concat()).expect_code(1);
-    ended.expect_told(&["topic `depth` carries another type of message"]);
+    ended.expect_texts(&["topic `depth` carries another type of message"]);
 }
 
 #[test]
@@ -110,8 +110,8 @@ fn a_stage_of_another_version_than_its_launcher_says_so() {
     let variables = [("CONICFLOW_PIPELINE", "other"), ("CONICFLOW_STAGE", "nearest")];
     command.envs(variables).env("CONICFLOW_RUNTIME_DIR", playground.runtime());
     let ended = Started::new(command).wait().expect_code(2);
-    let told = "were built from different versions of conicflow (layout ";
-    assert!(ended.stderr.contains(told) && ended.stderr.contains(", 99)\n  hint: "), "{ended:?}");
+    let expected = "were built from different versions of conicflow (layout ";
+    assert!(ended.stderr.contains(expected) && ended.stderr.contains(", 99)\n  hint: "), "{ended:?}");
 }
 
 /// What finds objects in the frames that `raw_camera` takes from `depth.z16`.

@@ -138,15 +138,15 @@ impl Pair<'_> {
     ) {
         let mut faults = Vec::new();
         while faults.len() < TRIES {
-            let (robot, came) = self.window(what, &during);
+            let (robot, files) = self.window(what, &during);
             // Whoever waited for the radio would lose all frames; a host that is busy otherwise loses some, now and then.
             let unfelt =
                 robot.share() > 0.75 * self.alone.share() && robot.latency(0.5) < 2.0 * self.alone.latency(0.5) + 20.0;
-            let is_stale = came.iter().any(Written::is_backlog);
+            let is_stale = files.iter().any(Written::is_backlog);
             let fault = match (unfelt, is_stale) {
                 (false, _) => Some("the robot felt it"),
                 (_, true) => Some("a stale backlog"),
-                _ => wrong_with_lists(&came[0]),
+                _ => wrong_with_lists(&files[0]),
             };
             match fault {
                 Some(fault) => faults.push(fault),
@@ -161,8 +161,8 @@ impl Pair<'_> {
 fn show(base: &Playground, file: &str, from: usize) -> Written {
     let written = Written::of(base, file, from);
     let [p50, p99, most] = [0.5, 0.99, 1.0].map(|quantile| written.latency(quantile));
-    let (came, sent) = (written.latencies_ms.len(), written.last - written.first + 1);
-    eprintln!("base, {file}: {came} of {sent} came, latency {p50:.0} ms, p99 {p99:.0} ms, at most {most:.0} ms");
+    let (received, sent) = (written.latencies_ms.len(), written.last - written.first + 1);
+    eprintln!("base, {file}: {received} of {sent} came, latency {p50:.0} ms, p99 {p99:.0} ms, at most {most:.0} ms");
     written
 }
 

@@ -55,7 +55,7 @@ fn the_default_pipeline_tracks_and_its_summary_names_all_stages() {
     assert!(last.ends_with("  frame 4  bouncing_ball"), "{}", ended.stdout);
     assert_eq!(ended.stages(), ["source", "extractor", "assembler", "tracker", "console"]);
     assert_eq!(ended.stage("source").messages, 5);
-    ended.expect_told(&["\ndefault: 5 frames in "]);
+    ended.expect_texts(&["\ndefault: 5 frames in "]);
     assert!(ended.stages().iter().all(|stage| ended.stage(stage).starts == 1), "{}", ended.stderr);
 }
 
@@ -320,7 +320,7 @@ fn a_folder_of_pngs_is_played_in_natural_order_with_the_camera_beside_it() {
     let playground = recording(8..12);
     let ended = playground.conicflow(&["run"]).expect_code(0);
     expect_balls(&playground, &[8, 9, 10, 11]);
-    ended.expect_told(&["4 frames of 160x120, fx 150.00 fy 150.00 cx 79.50 cy 59.50"]);
+    ended.expect_texts(&["4 frames of 160x120, fx 150.00 fy 150.00 cx 79.50 cy 59.50"]);
 }
 
 #[test]
@@ -331,7 +331,7 @@ fn a_bad_frame_among_good_ones_is_passed_over_and_counted() {
     fs::write(playground.path("frames/img4.png"), &good[..good.len() / 2]).unwrap();
     let ended = playground.conicflow(&["run"]).expect_code(0);
     expect_balls(&playground, &[0, 1, 3, 5]);
-    ended.expect_told(&["source: frames unreadable: 2\n"]);
+    ended.expect_texts(&["source: frames unreadable: 2\n"]);
     for name in ["img2.png", "img4.png"] {
         assert!(
             ended.stderr.lines().any(|line| line.contains("passed over") && line.contains(name)),
@@ -350,8 +350,8 @@ fn a_run_whose_recording_disappears_reports_how_much_was_read_and_fails() {
     let ended = run.wait().expect_code(1);
     let sent = ended.stage("source").messages;
     assert!((4..40).contains(&sent) && playground.lines("objects.jsonl").len() as u64 == sent, "{}", ended.stderr);
-    let told = format!("{} of 40 frames could not be read any more when their turn came, {sent} were: `", 40 - sent);
-    ended.expect_told(&[&told, "No such file or directory", "not complete: a stage was lost"]);
+    let report = format!("{} of 40 frames could not be read any more when their turn came, {sent} were: `", 40 - sent);
+    ended.expect_texts(&[&report, "No such file or directory", "not complete: a stage was lost"]);
 }
 
 #[test]
@@ -376,14 +376,14 @@ fn a_run_that_fails_before_its_first_line_leaves_the_lines_of_the_last_run() {
     );
     let ended = playground.conicflow(&["run"]);
     assert_eq!(playground.lines("objects.jsonl"), lines, "{}", ended.stderr);
-    ended.expect_told(&["nothing came to be written: `", "objects.jsonl` still holds what an earlier run wrote"]);
+    ended.expect_texts(&["nothing came to be written: `", "objects.jsonl` still holds what an earlier run wrote"]);
 }
 
 #[test]
 fn the_level_of_the_log_is_that_of_the_stages_as_well() {
     let playground = recording(8..10);
-    let told = |level: &str| playground.conicflow(&["run", "--log", level]).expect_code(0).stderr;
-    let (usual, all, faults) = (told("info"), told("debug"), told("error"));
+    let log = |level: &str| playground.conicflow(&["run", "--log", level]).expect_code(0).stderr;
+    let (usual, all, faults) = (log("info"), log("debug"), log("error"));
     assert!(usual.contains("2 frames of 160x120") && !usual.contains("DEBUG"), "{usual}");
     assert!(all.contains("2 frames of 160x120"), "{all}");
     for frame in [0, 1] {
@@ -415,8 +415,8 @@ fn a_run_that_finds_objects_lists_its_reasons_with_the_level_debug_alone() {
 #[test]
 fn a_log_has_the_time_of_each_line_on_request() {
     let playground = recording(8..10);
-    for (said, is_timed) in [("1", true), ("", false)] {
-        let output = playground.command(&["run"]).env("CONICFLOW_LOG_TIME", said).output().unwrap();
+    for (setting, is_timed) in [("1", true), ("", false)] {
+        let output = playground.command(&["run"]).env("CONICFLOW_LOG_TIME", setting).output().unwrap();
         let stderr = String::from_utf8(output.stderr).unwrap();
         let line =
             stderr.lines().find(|line| line.contains("2 frames of 160x120")).unwrap_or_else(|| panic!("{stderr}"));

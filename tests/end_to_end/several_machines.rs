@@ -158,14 +158,14 @@ fn a_missing_machine_is_waited_for_during_the_outage_and_the_messages_it_misses_
     wait_until("no process of `base` is left", || base.processes().is_empty());
     let ended = robot_run.wait().expect_code(1);
     let [sent, lost, _] = link(&ended, "base", "ellipses");
-    let came = tracks(&base).len() as u64;
+    let received = tracks(&base).len() as u64;
     // What was on its way when the base was killed may count as either.
     let arrived = sent - lost;
-    assert!(sent == FRAMES && lost > 100 && arrived.abs_diff(came) < 64, "{came} came, {lost} of {sent} lost");
-    let told = format!("{lost} messages of the lossless topic `ellipses` did not reach all machines that read it");
+    assert!(sent == FRAMES && lost > 100 && arrived.abs_diff(received) < 64, "{received} came, {lost} of {sent} lost");
+    let loss = format!("{lost} messages of the lossless topic `ellipses` did not reach all machines that read it");
     let incomplete =
         format!("not complete: machine `base` lost {lost} of {FRAMES} messages of the lossless topic `ellipses`");
-    ended.expect_told(&[&told, &incomplete]);
+    ended.expect_texts(&[&loss, &incomplete]);
 }
 
 /// A lossless edge from `robot` to `base`, which `listens` or connects, and a source that goes on for ever.

@@ -79,20 +79,20 @@ fn observing_a_run_at_full_speed_costs_it_no_processor_time() {
 fn echo_prints_what_the_sink_writes_and_ends_with_the_run() {
     let (playground, run) = at_work(TRACKING, 50);
     let (echo, output) = echo(&playground, "tracks");
-    let seen = std::thread::spawn(move || output.lines().map(Result::unwrap).collect::<Vec<_>>());
+    let echoed = std::thread::spawn(move || output.lines().map(Result::unwrap).collect::<Vec<_>>());
     playground.conicflow(&["topic", "echo", "tracks", "--count", "60"]).expect_code(0);
     end_without_loss(run, &playground);
     echo.wait().expect_code(0);
     let mut written = playground.json_lines("tracks.jsonl");
-    let mut seen: Vec<Json> = seen.join().unwrap().iter().map(|line| serde_json::from_str(line).unwrap()).collect();
-    assert!(seen.len() >= 60, "{} lines", seen.len());
-    for line in written.iter_mut().chain(&mut seen) {
+    let mut echoed: Vec<Json> = echoed.join().unwrap().iter().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert!(echoed.len() >= 60, "{} lines", echoed.len());
+    for line in written.iter_mut().chain(&mut echoed) {
         line.as_object_mut().unwrap().remove("latency_ms").unwrap();
     }
-    for line in &seen {
+    for line in &echoed {
         assert_eq!(*line, written[line["sequence"].as_u64().unwrap() as usize]);
     }
-    assert!(seen.is_sorted_by_key(|line| line["sequence"].as_u64()), "frames went back");
+    assert!(echoed.is_sorted_by_key(|line| line["sequence"].as_u64()), "frames went back");
 }
 
 #[test]
@@ -141,7 +141,7 @@ fn the_ninth_observer_is_refused() {
     let lookers: Vec<_> = (0..8).map(|_| echo(&playground, "tracks")).collect();
     let ended = playground.conicflow(&["topic", "echo", "tracks"]).expect_code(2);
     assert!(ended.stderr.starts_with("error: topic `tracks` has 8 onlookers already"), "{}", ended.stderr);
-    ended.expect_told(&["\n  hint: "]);
+    ended.expect_texts(&["\n  hint: "]);
     lookers.iter().for_each(|(looker, _)| signal(looker.id(), Signal::KILL));
     lookers.into_iter().for_each(|(looker, _)| drop(looker.wait()));
     playground.conicflow(&["topic", "echo", "tracks", "--count", "50"]).expect_code(0);
