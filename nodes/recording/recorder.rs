@@ -20,8 +20,7 @@ use super::summary::MAX_RECORD_BYTES;
 use anyhow::{Context as _, Error, Result};
 use conicflow_dataflow::{AnyMessage, FileUse, ItemType, lock};
 use conicflow_messages::{
-    ABSENT, Fields, Header, Hinted, INVALID_FAR, INVALID_NEAR, LateFile, Named, Object, Text, Track, Velocity,
-    is_special,
+    ABSENT, Fields, Header, Hinted, INVALID_FAR, INVALID_NEAR, LateFile, Object, Text, Track, is_special,
 };
 use conicflow_ros::{
     CAMERA_INFO, CameraInfo, Definition, IMAGE as IMAGE_TYPE, MARKER_ARRAY, Marked, Markers, POINT_CLOUD, Stamped,
@@ -497,7 +496,7 @@ impl OpenFile {
             self.put_ros(&of("points"), POINT_CLOUD, header, &points)?;
         }
         // A type without named fields is recorded only as it is.
-        if let Some(items) = all_of(message).filter(|_| item.is_short()) {
+        if let Some(items) = message.fields().filter(|_| item.is_short()) {
             let head = head(header, latency_ms);
             memory = write_list(stamped, &head, &items, memory);
             self.put_list(&of("list"), item, &head, header, &memory)?;
@@ -539,7 +538,7 @@ impl OpenFile {
             // The list may be empty, so the fields are those of an item of zeros.
             let zeros = vec![0_u64; item.size().div_ceil(size_of::<u64>())];
             let bytes = &bytemuck::cast_slice(&zeros)[..item.size()];
-            let items = all_of(&AnyMessage { header, item, bytes }).unwrap_or_default();
+            let items = AnyMessage { header, item, bytes }.fields().unwrap_or_default();
             let (name, text) = list_definition(item.name(), head, items.first().context("an item of no bytes")?);
             let schema = writer.add_schema(&name, "ros2msg", text.as_bytes())?;
             Ok(writer.add_channel(schema, channel, "cdr", &BTreeMap::new())?)
@@ -568,15 +567,6 @@ impl OpenFile {
         self.unflushed_since.get_or_insert_with(Instant::now);
         Ok(())
     }
-}
-
-/// Returns the named fields of all items, if the type has them.
-fn all_of<'a>(message: &AnyMessage<'a>) -> Option<Vec<Fields<'a>>> {
-    fn of<T: Named>(message: &AnyMessage<'_>) -> Option<Vec<Fields<'static>>> {
-        Some(message.items::<T>()?.iter().map(Named::fields).collect())
-    }
-    let described = || Some(message.item.described_layout()?.items(message.bytes));
-    of::<Object>(message).or_else(|| of::<Track>(message)).or_else(|| of::<Velocity>(message)).or_else(described)
 }
 
 /// Returns the fields that a line of JSON has beside the items.
