@@ -104,7 +104,7 @@ impl Source for Frames {
     }
 
     fn next(&mut self, _: &SideInputs, output: &mut Output<u16>) -> Result<Next, StageError> {
-        output.image(self.1.len())?.copy_from_slice(&self.1);
+        output.loan(self.1.len())?.copy_from_slice(&self.1);
         output.header = Header { stamp_ns: monotonic_ns(), ..with_own_sequence(&self.0, &output.header) };
         Ok(Next::Message)
     }

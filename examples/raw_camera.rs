@@ -79,7 +79,7 @@ impl Source for RawCamera {
             Some(device) => device,
             none => none.insert(open_device(&self.path)?),
         };
-        let image = output.image(pixels(&self.config.camera))?;
+        let image = output.loan(pixels(&self.config.camera))?;
         if !read_frame(device, bytemuck::cast_slice_mut(image), &self.stop)? {
             return Ok(Next::End);
         }

@@ -34,17 +34,17 @@ mod tests {
     use conicflow_messages::lasts;
 
     #[test]
-    fn an_error_that_lasts_is_known_as_one_by_the_run() {
+    fn the_run_recognises_a_lasting_error() {
         assert!(lasts(&*stage_error(Hinted::lasting("full", "free some space").into())));
         assert!(lasts(&*stage_error(std::io::Error::from(std::io::ErrorKind::StorageFull).into())));
         assert!(!lasts(&*stage_error(Hinted::new("gone", "wait").into())));
     }
 
     #[test]
-    fn only_the_first_start_is_not_refused() {
+    fn a_restart_is_refused_and_the_first_start_is_not() {
         assert!(refuse_restart(&Context::default(), "counted").is_ok());
         let context = Context { resume_at: 3, ..Context::default() };
-        let told = refuse_restart(&context, "counted").unwrap_err().to_string();
-        assert!(told.starts_with("what was counted before") && told.contains("\n  hint: "), "{told}");
+        let error = refuse_restart(&context, "counted").unwrap_err().to_string();
+        assert!(error.starts_with("what was counted before") && error.contains("\n  hint: "), "{error}");
     }
 }

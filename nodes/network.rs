@@ -32,8 +32,8 @@ pub(crate) fn program() -> Result<PathBuf, Hinted> {
     let program: PathBuf = match std::env::var_os(BRIDGE_PROGRAM) {
         Some(program) => program.into(),
         None => {
-            let here = std::env::current_exe();
-            here.map_err(|error| fault(&format!("this program cannot be found: {error}")))?.with_file_name(NAME)
+            let own_program = std::env::current_exe();
+            own_program.map_err(|error| fault(&format!("this program cannot be found: {error}")))?.with_file_name(NAME)
         }
     };
     // A name without a folder is searched for in PATH.
@@ -68,7 +68,7 @@ mod tests {
     use serde_json::to_value;
 
     #[test]
-    fn settled_parameters_are_read_as_they_were_written() {
+    fn parameters_that_are_written_and_read_are_the_same() {
         fn check<C: Default + Serialize + DeserializeOwned>() {
             let settled = to_value(C::default()).unwrap();
             assert_eq!(to_value(serde_json::from_value::<C>(settled.clone()).unwrap()).unwrap(), settled);

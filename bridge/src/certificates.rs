@@ -23,18 +23,18 @@ const CLOCK: &str = "is the clock of this machine right? if it is, have the cert
 /// machines with the named authority refuse. Files that do not exist are skipped.
 pub(crate) fn warnings(tls: &Json, now: UnixTime) -> Vec<Hinted> {
     let mut warnings: Vec<Hinted> = Vec::new();
-    for way in ["listen", "connect"] {
-        let fault = look(tls, way, now).err();
+    for role in ["listen", "connect"] {
+        let fault = check_role(tls, role, now).err();
         warnings.extend(fault.filter(|fault| !warnings.contains(fault)));
     }
     warnings
 }
 
-fn look(tls: &Json, way: &str, now: UnixTime) -> Result<(), Hinted> {
-    let Some(certificate) = file(tls, &format!("{way}_certificate")) else { return Ok(()) };
-    file(tls, &format!("{way}_private_key")).map_or(Ok(()), |key| check_pair(certificate, key))?;
+fn check_role(tls: &Json, role: &str, now: UnixTime) -> Result<(), Hinted> {
+    let Some(certificate) = file(tls, &format!("{role}_certificate")) else { return Ok(()) };
+    file(tls, &format!("{role}_private_key")).map_or(Ok(()), |key| check_pair(certificate, key))?;
     let authority = file(tls, "root_ca_certificate");
-    authority.map_or(Ok(()), |authority| examine(certificate, authority, way == "listen", now))
+    authority.map_or(Ok(()), |authority| examine(certificate, authority, role == "listen", now))
 }
 
 fn file<'a>(tls: &'a Json, name: &str) -> Option<&'a Path> {
@@ -156,7 +156,7 @@ mod tests {
         })
     }
 
-    fn told(warnings: &[Hinted]) -> Vec<&str> {
+    fn fault_texts(warnings: &[Hinted]) -> Vec<&str> {
         warnings.iter().map(|warning| warning.what.rsplit("/robot.pem` ").next().unwrap()).collect()
     }
 
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn a_certificate_out_of_its_time_or_of_another_authority_is_told_once() {
+    fn an_expired_early_or_foreign_certificate_is_reported_once() {
         let (Some(one), Some(other)) = (made(), made()) else { return };
         let (one, other) = (one.path(), other.path());
         let in_days = |days: i64| {
@@ -198,18 +198,18 @@ mod tests {
             (-10, &["is not valid yet, but in 10 days"]),
         ] {
             let warnings = warnings(&own, in_days(days));
-            let told = told(&warnings);
+            let reported = fault_texts(&warnings);
             // A second may have passed since the certificate was made.
-            let is_as_expected = told == expected || told == ["is not valid yet, but in 9 days"] && days == -10;
-            assert!(is_as_expected || told == ["has expired 9 days ago"] && days == 835, "{days}: {told:?}");
+            let is_as_expected = reported == expected || reported == ["is not valid yet, but in 9 days"] && days == -10;
+            assert!(is_as_expected || reported == ["has expired 9 days ago"] && days == 835, "{days}: {reported:?}");
         }
         let mixed = warnings(&table([other, one, one]), UnixTime::now());
-        assert!(mixed.len() == 1 && told(&mixed)[0].starts_with("is not of the authority in `"), "{mixed:?}");
+        assert!(mixed.len() == 1 && fault_texts(&mixed)[0].starts_with("is not of the authority in `"), "{mixed:?}");
         assert!(warnings(&Json::Null, UnixTime::now()).is_empty());
     }
 
     #[test]
-    fn a_certificate_for_servers_alone_can_be_listened_with_and_no_more() {
+    fn a_certificate_for_servers_alone_is_accepted_for_listening_and_refused_for_connecting() {
         let Some(folder) = made() else { return };
         let script = "printf 'subjectAltName=DNS:localhost\nextendedKeyUsage=serverAuth\n' > usage\n\
                       openssl req -new -key robot.key -subj /CN=robot | openssl x509 -req -CA ca.pem -CAkey ca.key \
@@ -223,11 +223,11 @@ mod tests {
         };
         assert_eq!(faults("connect"), []);
         let fault = &faults("listen")[..];
-        assert!(fault.len() == 1 && told(fault)[0].starts_with("cannot be used: "), "{fault:?}");
+        assert!(fault.len() == 1 && fault_texts(fault)[0].starts_with("cannot be used: "), "{fault:?}");
     }
 
     #[test]
-    fn times_are_told_in_units_that_suit_them() {
+    fn durations_are_reported_in_suitable_units() {
         let words = [0, 61, 7199, 7200, 172_799, 172_800].map(in_words);
         assert_eq!(words, ["0 min", "2 min", "120 min", "2 h", "47 h", "2 days"]);
     }

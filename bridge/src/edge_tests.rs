@@ -5,9 +5,10 @@ use crate::peer::heartbeat::Ack;
 use crate::peer::journal::Journal;
 use crate::peer::links::Links;
 use crate::receiving::Receiving;
-use crate::sending::{Sending, Shared};
+use crate::sending::Sending;
 use crate::session::Sessions;
 use crate::session::tests::joined;
+use crate::shared::Shared;
 use crate::wire::seal::{Seal, secret};
 use crate::wire::{StreamPosition, encode_message};
 use conicflow_dataflow::pipeline::{BRIDGE, Compression};
@@ -128,7 +129,7 @@ pub fn write(memory: &SharedMemory, topic: &Topic, count: u64) {
 
 /// Reads messages until the end and checks their items. Returns their numbers, and how many there were according to the end.
 pub fn read(mut reader: impl Reader) -> (Vec<u64>, u64) {
-    let (mut came, begin) = (Vec::new(), Instant::now());
+    let (mut numbers, begin) = (Vec::new(), Instant::now());
     while begin.elapsed() < DEADLINE {
         let Some(message) = reader.receive().unwrap() else {
             reader.wait(Duration::from_millis(20)).unwrap();
@@ -136,18 +137,21 @@ pub fn read(mut reader: impl Reader) -> (Vec<u64>, u64) {
         };
         let Header { number, sequence, .. } = *message.header();
         if message.header().ends_stream() {
-            return (came, number);
+            return (numbers, number);
         }
         assert_eq!((sequence, message.items::<Object>()), (100 + number, &objects(number)[..]));
-        came.push(number);
+        numbers.push(number);
     }
-    panic!("the end does not come, after {came:?}");
+    panic!("the end does not come, after {numbers:?}");
 }
 
 /// Exchanges one heartbeat in each direction.
-fn tell_each_other(robot: &Side, base: &Side) {
-    robot.links.say("@robot", robot.links.news(), |bytes| base.links.heard("robot", "@robot", &bytes));
-    base.links.say("@base", base.links.news(), |bytes| robot.links.heard("base", "@base", &bytes));
+fn exchange_heartbeats(robot: &Side, base: &Side) {
+    robot
+        .links
+        .send_heartbeat("@robot", robot.links.news(), |bytes| base.links.receive_heartbeat("robot", "@robot", &bytes));
+    base.links
+        .send_heartbeat("@base", base.links.news(), |bytes| robot.links.receive_heartbeat("base", "@base", &bytes));
 }
 
 /// Hands messages to `base`, whose bridge has met that of `robot`. Returns the counts of messages that were passed on, stale,
@@ -163,7 +167,7 @@ fn accepted_with(key: Option<&LinkKey>, delivery: Delivery, messages: &[Vec<u8>]
     let robot = Side::new("robot", edge(delivery, BRIDGE), folders[0].path(), key);
     let base = Side::new("base", edge(delivery, "reader"), folders[1].path(), key);
     let ([_, sessions], peers) = (joined(|address| address), Peers::default());
-    (0..2).for_each(|_| tell_each_other(&robot, &base));
+    (0..2).for_each(|_| exchange_heartbeats(&robot, &base));
     let mut reader = memory(folders[1].path(), "reader").reader::<Object>(&base.edge.topic, "reader").unwrap();
     let mut receiving = Receiving::new(&base.edge, &base.shared(&sessions, &peers), Arc::clone(&base.counts)).unwrap();
     let over = Stop::default();
@@ -200,18 +204,18 @@ fn carry(key: Option<&LinkKey>, delivery: Delivery, count: u64) -> (Vec<u64>, u6
     let robot = Side::new("robot", edge(delivery, BRIDGE), folders[0].path(), key);
     let base = Side::new("base", edge(delivery, "reader"), folders[1].path(), key);
     let ([robot_sessions, base_sessions], peers, over) = (joined(|address| address), Peers::default(), Stop::default());
-    let (sharing_there, sharing_here) = (robot.shared(&robot_sessions, &peers), base.shared(&base_sessions, &peers));
-    let (came, told) = thread::scope(|scope| {
+    let (robot_shared, base_shared) = (robot.shared(&robot_sessions, &peers), base.shared(&base_sessions, &peers));
+    let (numbers, announced) = thread::scope(|scope| {
         let _ending = Ending([over.clone(), robot.stop.clone(), base.stop.clone()]);
         scope.spawn(|| {
             while !over.forced() {
-                tell_each_other(&robot, &base);
+                exchange_heartbeats(&robot, &base);
                 thread::sleep(Duration::from_millis(10));
             }
         });
         let reader = memory(folders[1].path(), "reader").reader::<Object>(&base.edge.topic, "reader").unwrap();
-        let receiving = Receiving::new(&base.edge, &sharing_here, Arc::clone(&base.counts)).unwrap();
-        let sending = Sending::new(&robot.edge, &sharing_there, Arc::clone(&robot.counts)).unwrap();
+        let receiving = Receiving::new(&base.edge, &base_shared, Arc::clone(&base.counts)).unwrap();
+        let sending = Sending::new(&robot.edge, &robot_shared, Arc::clone(&robot.counts)).unwrap();
         let carries = [scope.spawn(move || receiving.run()), scope.spawn(move || sending.run())];
         wait_until("the base is heard", || robot.links.is_connected("base"));
         scope.spawn(|| write(&memory(folders[0].path(), "writer"), &robot.edge.topic, count));
@@ -219,17 +223,17 @@ fn carry(key: Option<&LinkKey>, delivery: Delivery, count: u64) -> (Vec<u64>, u6
         carries.into_iter().for_each(|carries| carries.join().unwrap().unwrap());
         read
     });
-    (came, told, [robot, base])
+    (numbers, announced, [robot, base])
 }
 
 #[test]
-fn a_lossless_edge_carries_each_message_of_its_writers_and_their_end_and_both_machines_know_that_it_is_finished() {
+fn a_lossless_edge_carries_each_message_and_the_end_and_both_machines_know_that_it_is_finished() {
     for key in [Some(&secret()), None] {
-        let (came, told, [robot, base]) = carry(key, Delivery::Lossless, 40);
-        assert_eq!((came, told), ((0..40).collect(), 40));
+        let (numbers, announced, [robot, base]) = carry(key, Delivery::Lossless, 40);
+        assert_eq!((numbers, announced), ((0..40).collect(), 40));
         for counts in [&robot.counts, &base.counts] {
             let [messages, lost, malformed] =
-                [&counts.messages, &counts.lost, &counts.malformed].map(|it| it.load(Ordering::Relaxed));
+                [&counts.messages, &counts.lost, &counts.malformed].map(|count| count.load(Ordering::Relaxed));
             assert_eq!([messages, lost, malformed], [40, 0, 0]);
             let bytes = (0..40).sum::<usize>() * size_of::<Object>() + 40 * size_of::<Header>();
             assert_eq!(counts.memory_bytes.load(Ordering::Relaxed), bytes as u64);
@@ -239,15 +243,15 @@ fn a_lossless_edge_carries_each_message_of_its_writers_and_their_end_and_both_ma
 }
 
 #[test]
-fn an_edge_where_the_newest_wins_carries_messages_in_their_order_and_the_end() {
-    let (came, told, [robot, base]) = carry(None, Delivery::Latest, 40);
-    assert!(came.is_sorted_by(|a, b| a < b) && told == 40, "{came:?} of {told}");
+fn a_latest_edge_carries_messages_in_order_and_the_end() {
+    let (numbers, announced, [robot, base]) = carry(None, Delivery::Latest, 40);
+    assert!(numbers.is_sorted_by(|a, b| a < b) && announced == 40, "{numbers:?} of {announced}");
     assert!(base.counts.messages.load(Ordering::Relaxed) <= robot.counts.messages.load(Ordering::Relaxed));
     assert!(base.links.is_finished("robot", "objects").0);
 }
 
 #[test]
-fn what_was_long_under_way_is_passed_on_only_where_none_may_be_missed() {
+fn a_stale_message_is_passed_on_over_a_lossless_edge_and_dropped_with_latest() {
     let sent_at = |number: u64, sent_ns: u64| {
         let mut header = header("writer", number);
         header.hops[0].sent_ns = sent_ns;
@@ -260,7 +264,7 @@ fn what_was_long_under_way_is_passed_on_only_where_none_may_be_missed() {
 }
 
 #[test]
-fn what_makes_no_sense_is_passed_over_and_acknowledged_so_that_what_follows_comes() {
+fn malformed_messages_are_skipped_and_acknowledged_so_that_later_ones_arrive() {
     let of_writer = |number| on_the_wire(&header("writer", number), number, 0);
     let (cut, ahead) = (of_writer(2).len() - 1, on_the_wire(&header("writer", 3), 3, 9));
     let messages = [
@@ -275,19 +279,19 @@ fn what_makes_no_sense_is_passed_over_and_acknowledged_so_that_what_follows_come
 }
 
 #[test]
-fn a_message_whose_number_was_not_reached_is_told_when_the_true_ones_come() {
+fn a_forged_message_with_a_number_not_yet_reached_is_reported_when_genuine_ones_arrive() {
     let messages = [300, 1].map(|number| on_the_wire(&header("writer", number), number, number));
     let (counts, ack) = accepted_with(None, Delivery::Lossless, &messages);
     assert_eq!((counts, ack.next), ([2, 0, 1, 0], 2));
 }
 
 #[test]
-fn a_message_that_was_not_the_next_of_its_writer_is_left_out_and_told_when_the_true_one_comes() {
+fn a_message_that_does_not_follow_the_last_of_its_writer_is_left_out_and_reported_when_the_genuine_one_arrives() {
     let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
     let robot = Side::new("robot", edge(Delivery::Lossless, BRIDGE), folders[0].path(), None);
     let base = Side::new("base", edge(Delivery::Lossless, "reader"), folders[1].path(), None);
     let ([_, sessions], peers) = (joined(|address| address), Peers::default());
-    (0..2).for_each(|_| tell_each_other(&robot, &base));
+    (0..2).for_each(|_| exchange_heartbeats(&robot, &base));
     let reader = memory(folders[1].path(), "reader").reader::<Object>(&base.edge.topic, "reader").unwrap();
     let mut receiving = Receiving::new(&base.edge, &base.shared(&sessions, &peers), Arc::clone(&base.counts)).unwrap();
     let of_number = |number| on_the_wire(&header("writer", number), 1, 0);
@@ -300,7 +304,7 @@ fn a_message_that_was_not_the_next_of_its_writer_is_left_out_and_told_when_the_t
         assert_eq!((base.counts.messages.load(Ordering::Relaxed), base.links.news().acks[0].next), (1, 1));
         receiving.accept(&of_number(1)).unwrap();
         let [messages, malformed] =
-            [&base.counts.messages, &base.counts.malformed].map(|it| it.load(Ordering::Relaxed));
+            [&base.counts.messages, &base.counts.malformed].map(|count| count.load(Ordering::Relaxed));
         assert_eq!((messages, malformed, base.links.news().acks[0].next), (2, 1, 2));
         base.stop.request();
         assert!(!receiving.carry().unwrap(), "its writer goes on");
@@ -310,8 +314,7 @@ fn a_message_that_was_not_the_next_of_its_writer_is_left_out_and_told_when_the_t
 /// The first bridge is killed after it has acknowledged the end and before it has announced it to a reader. Of the other machine,
 /// only the first of three messages comes again; the end accounts for the other two.
 #[test]
-fn a_bridge_that_takes_the_place_of_one_which_acknowledged_the_end_tells_it_with_its_count_and_notes_it_for_who_comes_later()
- {
+fn a_bridge_that_replaces_one_which_acknowledged_the_end_announces_it_with_its_count_and_notes_it_for_later_readers() {
     for (delivery, outage) in [(Delivery::Latest, OUTAGE), (Delivery::Lossless, Duration::from_millis(300))] {
         let folders = [0, 1, 2].map(|_| tempfile::tempdir().unwrap());
         let [of_robot, of_base, of_run] = folders.each_ref().map(|folder| folder.path());
@@ -321,7 +324,7 @@ fn a_bridge_that_takes_the_place_of_one_which_acknowledged_the_end_tells_it_with
         let [_, sessions] = joined(|address| address);
         let shared = |side| Shared { outage, ..Side::shared(side, &sessions, &peers) };
         let first = base();
-        (0..2).for_each(|_| tell_each_other(&robot, &first));
+        (0..2).for_each(|_| exchange_heartbeats(&robot, &first));
         let mut receiving = Receiving::new(&first.edge, &shared(&first), Arc::clone(&first.counts)).unwrap();
         let end = end_of_stream(&header("writer", 3), Text::new("writer"), 3);
         wait_until("the end is acknowledged", || {
@@ -333,17 +336,17 @@ fn a_bridge_that_takes_the_place_of_one_which_acknowledged_the_end_tells_it_with
         let next = base();
         let mut receiving = Receiving::new(&next.edge, &shared(&next), Arc::clone(&next.counts)).unwrap();
         let reader = memory(of_base, "reader").reader::<Object>(&next.edge.topic, "reader").unwrap();
-        let came = thread::scope(|scope| {
+        let received = thread::scope(|scope| {
             let _ending = Ending([next.stop.clone()]);
             let carries = scope.spawn(move || {
                 receiving.accept(&on_the_wire(&header("writer", 0), 0, 0)).unwrap();
                 receiving.carry()
             });
-            let came = read(reader);
+            let received = read(reader);
             carries.join().unwrap().unwrap();
-            came
+            received
         });
-        assert_eq!((came, peers.is_over("writer")), ((vec![0], 3), true), "{delivery:?}");
+        assert_eq!((received, peers.is_over("writer")), ((vec![0], 3), true), "{delivery:?}");
     }
 }
 
@@ -353,7 +356,7 @@ fn an_edge_is_not_finished_where_the_run_ends_before_its_writers_and_readers() {
     let robot = Side::new("robot", edge(Delivery::Latest, BRIDGE), folders[0].path(), None);
     let base = Side::new("base", edge(Delivery::Latest, "reader"), folders[1].path(), None);
     let ([_, sessions], peers) = (joined(|address| address), Peers::default());
-    (0..2).for_each(|_| tell_each_other(&robot, &base));
+    (0..2).for_each(|_| exchange_heartbeats(&robot, &base));
     let receiving = Receiving::new(&base.edge, &base.shared(&sessions, &peers), Arc::clone(&base.counts)).unwrap();
     base.stop.request();
     receiving.run().unwrap();

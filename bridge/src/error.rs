@@ -47,7 +47,7 @@ mod tests {
     use std::path::PathBuf;
 
     #[test]
-    fn a_bridge_is_started_anew_except_where_the_files_would_have_to_be_others() {
+    fn a_bridge_is_restarted_unless_only_other_files_would_help() {
         let too_long = PortError::PathTooLong { path: PathBuf::new(), length: 200, limit: 100 };
         for is_lasting in [BridgeError::Settings(Hinted::new("no endpoint", "name one")), too_long.into()] {
             assert!(is_lasting.is_final(), "{is_lasting}");

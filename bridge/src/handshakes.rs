@@ -13,10 +13,10 @@ use tracing_subscriber::layer::Context;
 use tracing_subscriber::registry::LookupSpan;
 
 /// Reasons to report now, and all that were ever reported.
-static HEARD: Mutex<(Vec<String>, LoggedOnce)> = Mutex::new((Vec::new(), LoggedOnce::new()));
+static REASONS: Mutex<(Vec<String>, LoggedOnce)> = Mutex::new((Vec::new(), LoggedOnce::new()));
 
 /// A log layer that reads Zenoh's log, in addition to what the user sees of it.
-pub fn ear<S: Subscriber + for<'a> LookupSpan<'a>>() -> impl Layer<S> {
+pub fn handshake_layer<S: Subscriber + for<'a> LookupSpan<'a>>() -> impl Layer<S> {
     let targets = Targets::new().with_target("zenoh::net::runtime::orchestrator", Level::DEBUG);
     let links = ["zenoh_link_tls", "zenoh_link_quic", "zenoh_link_commons"].map(|target| (target, Level::WARN));
     LogListener.with_filter(targets.with_targets(links))
@@ -30,9 +30,9 @@ impl<S: Subscriber> Layer<S> for LogListener {
         let mut message = Message(String::new());
         event.record(&mut message);
         let Some(reason) = refusal(&message.0) else { return };
-        let (heard, told) = &mut *lock(&HEARD);
-        if told.admits(&reason) {
-            heard.push(reason);
+        let (pending, logged) = &mut *lock(&REASONS);
+        if logged.admits(&reason) {
+            pending.push(reason);
         }
     }
 }
@@ -50,8 +50,8 @@ impl Visit for Message {
 
 /// Logs the reasons that were found since the last call.
 pub(crate) fn report() {
-    let (heard, _) = &mut *lock(&HEARD);
-    heard.drain(..).for_each(|reason| tracing::error!("{reason}"));
+    let (pending, _) = &mut *lock(&REASONS);
+    pending.drain(..).for_each(|reason| tracing::error!("{reason}"));
 }
 
 /// The reason of a failed handshake, if this line of Zenoh's log reports one.
@@ -60,21 +60,21 @@ fn refusal(line: &str) -> Option<String> {
         let rest = rest.strip_prefix("configured peer ").unwrap_or(rest);
         rest.split('!').next()
     });
-    let there = endpoint.map_or("somebody who connects".to_owned(), |endpoint| format!("the machine at `{endpoint}`"));
+    let peer = endpoint.map_or("somebody who connects".to_owned(), |endpoint| format!("the machine at `{endpoint}`"));
     let after = |phrase: &str| line.split_once(phrase).map(|(_, rest)| rest);
     if let Some(fault) = after("invalid peer certificate: ") {
-        let (what, hint) = fault_of_theirs(fault);
-        return Some(format!("refused {there}: its certificate {what}\n  hint: {hint}"));
+        let (what_of, hint) = fault_of_theirs(fault);
+        return Some(format!("refused {peer}: its certificate {what_of}\n  hint: {hint}"));
     }
     if after("peer sent no certificates").is_some() {
         return Some(format!(
-            "refused {there}: it shows no certificate\n  hint: with enable_mtls: true here, each machine needs enable_mtls: \
+            "refused {peer}: it shows no certificate\n  hint: with enable_mtls: true here, each machine needs enable_mtls: \
              true, connect_certificate and connect_private_key"
         ));
     }
     let alert = after("received fatal alert: ")?.split(|letter: char| !letter.is_ascii_alphanumeric()).next()?;
-    let (what, hint) = fault_of_ours(alert);
-    Some(format!("{there} refuses this machine: {what}\n  hint: {hint}"))
+    let (what_of, hint) = fault_of_ours(alert);
+    Some(format!("{peer} refuses this machine: {what_of}\n  hint: {hint}"))
 }
 
 const ONE_AUTHORITY: &str = "have certificates of one authority on all machines, and its ca.pem, as \
@@ -107,7 +107,7 @@ fn fault_of_theirs(fault: &str) -> (String, &'static str) {
 
 /// Describes the fault that the other side finds in this machine's certificate, from its TLS alert.
 fn fault_of_ours(alert: &str) -> (String, &'static str) {
-    let (what, hint) = match alert {
+    let (what_of, hint) = match alert {
         "CertificateRequired" => (
             "it asks for a certificate, and this one shows none",
             "enable_mtls: true, connect_certificate and connect_private_key in the `zenoh` file show one",
@@ -123,19 +123,19 @@ fn fault_of_ours(alert: &str) -> (String, &'static str) {
         ),
         other => return (format!("`{other}`, as TLS calls it"), ONE_AUTHORITY),
     };
-    (what.to_owned(), hint)
+    (what_of.to_owned(), hint)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn what(line: &str) -> Option<String> {
-        refusal(line).map(|told| told.split("\n  hint: ").next().unwrap().to_owned())
+    fn what_of(line: &str) -> Option<String> {
+        refusal(line).map(|report| report.split("\n  hint: ").next().unwrap().to_owned())
     }
 
     #[test]
-    fn a_failed_handshake_is_told_by_who_refuses_whom_and_why() {
+    fn the_report_of_a_failed_handshake_says_who_refuses_whom_and_why() {
         let (begin, end) =
             ("Can not create a new TLS link bound to DnsName(\"a\"): ", " at /root/zenoh/unicast.rs:343.");
         let connecting =
@@ -143,31 +143,39 @@ mod tests {
         let accepting = |fault: &str| format!("{fault}. Hint: increase the system open file limit.");
         let (theirs, alert) = ("invalid peer certificate: ", "received fatal alert: ");
         let name = "certificate not valid for name \"a\"; certificate is only valid for DnsName(\"b\")";
-        let (to_there, who_comes) = ("refused the machine at `tls/a:1`: ", "refused somebody who connects: ");
-        let (there, comes) =
+        let (refused_peer, refused_client) = ("refused the machine at `tls/a:1`: ", "refused somebody who connects: ");
+        let (refused_by_peer, refused_by_client) =
             ("the machine at `tls/a:1` refuses this machine: ", "somebody who connects refuses this machine: ");
-        for (text, here, [from, expected]) in [
-            ("certificate expired: verification time 1", theirs, [to_there, "its certificate has expired"]),
-            ("UnknownIssuer", theirs, [to_there, "its certificate is of an authority that this machine does not know"]),
-            (name, theirs, [to_there, "its certificate is not for `a`, but is only valid for `b`"]),
-            ("CertificateRequired", alert, [there, "it asks for a certificate, and this one shows none"]),
-            ("CertificateUnknown", alert, [there, "`CertificateUnknown`, as TLS calls it"]),
+        for (text, prefix, [from, expected]) in [
+            ("certificate expired: verification time 1", theirs, [refused_peer, "its certificate has expired"]),
+            (
+                "UnknownIssuer",
+                theirs,
+                [refused_peer, "its certificate is of an authority that this machine does not know"],
+            ),
+            (name, theirs, [refused_peer, "its certificate is not for `a`, but is only valid for `b`"]),
+            ("CertificateRequired", alert, [refused_by_peer, "it asks for a certificate, and this one shows none"]),
+            ("CertificateUnknown", alert, [refused_by_peer, "`CertificateUnknown`, as TLS calls it"]),
         ] {
-            assert_eq!(what(&connecting(&format!("{here}{text}"))), Some(format!("{from}{expected}")));
+            assert_eq!(what_of(&connecting(&format!("{prefix}{text}"))), Some(format!("{from}{expected}")));
         }
         let expired = "by the clock there its certificate has expired, or is not valid yet";
-        for (text, here, [from, expected]) in [
-            ("certificate not valid yet: verification", theirs, [who_comes, "its certificate is not valid yet"]),
-            ("BadSignature", theirs, [who_comes, "its certificate is of an authority that this machine does not know"]),
-            ("peer sent no certificates", "", [who_comes, "it shows no certificate"]),
-            ("UnknownCA", alert, [comes, "its certificate is of an authority that is not known there"]),
-            ("CertificateExpired", alert, [comes, expired]),
+        for (text, prefix, [from, expected]) in [
+            ("certificate not valid yet: verification", theirs, [refused_client, "its certificate is not valid yet"]),
+            (
+                "BadSignature",
+                theirs,
+                [refused_client, "its certificate is of an authority that this machine does not know"],
+            ),
+            ("peer sent no certificates", "", [refused_client, "it shows no certificate"]),
+            ("UnknownCA", alert, [refused_by_client, "its certificate is of an authority that is not known there"]),
+            ("CertificateExpired", alert, [refused_by_client, expired]),
         ] {
-            assert_eq!(what(&accepting(&format!("{here}{text}"))), Some(format!("{from}{expected}")));
+            assert_eq!(what_of(&accepting(&format!("{prefix}{text}"))), Some(format!("{from}{expected}")));
         }
         for other in ["Unable to connect to configured peer tcp/a:1! Connection refused", "Try to connect: tls/a:1", ""]
         {
-            assert_eq!(what(other), None);
+            assert_eq!(what_of(other), None);
         }
     }
 }

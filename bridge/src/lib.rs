@@ -2,14 +2,14 @@
 //!
 //! Where a topic is written on one machine and read on another, the launcher of each machine starts one bridge process
 //! ([`process`]). Outgoing messages are read from shared memory, encoded ([`wire`]) and put under
-//! `conicflow/PIPELINE/MACHINE/TOPIC` ([`sending`]); incoming messages are checked, decoded and written into shared memory
-//! ([`receiving`]). Each bridge also puts a small heartbeat under `conicflow/PIPELINE/@link/MACHINE` ([`peer`]): it acknowledges
-//! messages, compares the clocks, and shows that the link is alive, because Zenoh's `put` succeeds without any receiver. Where
-//! the machines share a key, a message counts only if it was made with that key by the present start of the other bridge
-//! (`wire::seal`, `peer::links`). Short messages that may be lost go by datagrams, if the file names endpoints for them
-//! ([`session`]). [`reliable`] holds the two ends of lossless delivery, and the window that keeps messages under way from
-//! queueing with `latest`. For TLS links, faulty certificates are reported at the start (`certificates`), and failed handshakes
-//! when they occur ([`ear`]).
+//! `conicflow/PIPELINE/MACHINE/TOPIC` ([`sending`]). Incoming messages are admitted only from the present session of the other
+//! bridge ([`gate`]); then they are checked, decoded and written into shared memory ([`receiving`]). Each bridge also puts a
+//! small heartbeat under `conicflow/PIPELINE/@link/MACHINE` ([`peer`]): it acknowledges messages, compares the clocks, and shows
+//! that the link is alive, because Zenoh's `put` succeeds without any receiver. Where the machines share a key, a message counts
+//! only if it was made with that key by the present start of the other bridge (`wire::seal`, `peer::links`). Short messages that
+//! may be lost go by datagrams, if the file names endpoints for them ([`session`]). [`reliable`] holds the two ends of lossless
+//! delivery, and the window that keeps messages under way from queueing with `latest`. For TLS links, faulty certificates are
+//! reported at the start (`certificates`), and failed handshakes when they occur ([`handshake_layer`]).
 //!
 //! Lossless delivery is implemented here rather than with `zenoh-ext` (`AdvancedPublisher`, `AdvancedSubscriber`), which has a
 //! cache, detects misses and retransmits, but is marked unstable and has no back-pressure. A lossless edge has to make its writer
@@ -21,6 +21,7 @@ mod channel;
 #[cfg(test)]
 mod edge_tests;
 mod error;
+mod gate;
 mod handshakes;
 mod logged_once;
 #[cfg(test)]
@@ -33,9 +34,10 @@ mod ros2;
 mod sending;
 mod session;
 mod settings;
+mod shared;
 mod wire;
 
-pub use handshakes::ear;
+pub use handshakes::handshake_layer;
 pub use ros2::NODES;
 pub use wire::{MAX_MESSAGE, StreamPosition, WIRE_VERSION, WireError, decode_message, encode_message};
 

@@ -30,12 +30,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_text_is_told_once_and_no_more_than_so_many() {
-        let mut told = LoggedOnce::new();
-        assert_eq!(["a", "a", "b", "a"].map(|text| told.admits(text)), [true, false, true, false]);
-        assert!(told.texts().iter().eq(["a", "b"]));
-        let more = (0..2 * MOST).filter(|number| told.admits(&number.to_string())).count();
+    fn each_text_is_logged_once_up_to_a_maximum_number_of_texts() {
+        let mut logged = LoggedOnce::new();
+        assert_eq!(["a", "a", "b", "a"].map(|text| logged.admits(text)), [true, false, true, false]);
+        assert!(logged.texts().iter().eq(["a", "b"]));
+        let more = (0..2 * MOST).filter(|number| logged.admits(&number.to_string())).count();
         assert_eq!(more, MOST - 2);
-        assert!(!told.admits("a"));
+        assert!(!logged.admits("a"));
     }
 }

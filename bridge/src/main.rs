@@ -5,7 +5,7 @@
 //! `conicflow-bridge check`, `warnings` and `endpoints` answer questions of `conicflow` about a machine's table: they read the
 //! table as JSON and print what is wrong with it, what may keep it from its links, or where it listens.
 
-use conicflow_bridge::{NETWORK, NODES, ear};
+use conicflow_bridge::{NETWORK, NODES, handshake_layer};
 use conicflow_dataflow::pipeline::Machine;
 use conicflow_dataflow::{DEFAULT_LOG, LOG, ProcessError, Registry, error_text, log_beside, run_in_run};
 use std::io::{self, Read, Write};
@@ -17,7 +17,7 @@ const WRONG_INPUT: u8 = 2;
 fn main() -> ExitCode {
     let filter = std::env::var(LOG).unwrap_or_else(|_| DEFAULT_LOG.to_owned());
     // This program reports the state of links itself; Zenoh's own log is for `CONICFLOW_LOG=zenoh=debug`.
-    log_beside(&format!("zenoh=error,{filter}"), ear());
+    log_beside(&format!("zenoh=error,{filter}"), handshake_layer());
     let question = std::env::args().nth(1);
     let (ended, code) = match question.as_deref() {
         None => {
@@ -65,7 +65,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_with_a_machine_and_where_it_listens_are_told() {
+    fn the_faults_of_a_machine_and_its_listen_endpoints_are_printed() {
         let listening = |endpoint: &str| Machine { listen: vec![endpoint.to_owned()], ..Machine::default() };
         let endpoint = "tcp/127.0.0.1:7447";
         let checked =
@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_question_or_about_no_machine_is_refused() {
+    fn unknown_questions_and_broken_tables_are_refused() {
         let refused = |question: &str, table: &str| answer(question, table.as_bytes()).unwrap_err().to_string();
         assert!(refused("listen", "{}").contains("`listen` is nothing that can be asked\n  hint: "));
         assert!(refused("check", "[").contains("EOF") && refused("endpoints", "[").contains("EOF"));

@@ -8,9 +8,10 @@ use crate::peer::journal::Journal;
 use crate::peer::links::Links;
 use crate::peer::report::{BridgeReporter, EdgeHandle};
 use crate::receiving::Receiving;
-use crate::sending::{Sending, Shared};
+use crate::sending::Sending;
 use crate::session::{Publisher, Sessions, Subscriber};
 use crate::settings;
+use crate::shared::Shared;
 use crate::wire::seal::Seal;
 use conicflow_dataflow::pipeline::check_host;
 use conicflow_dataflow::relay::{MemoryTrim, Peers, SharedMemory, StageRuntime, StatusFile};
@@ -65,7 +66,7 @@ fn carry(
         handshakes::report();
         reporter.report(false);
     };
-    look_up(&bridge.settings.connect);
+    warn_of_unknown_hosts(&bridge.settings.connect);
     let Some(sessions) = Sessions::open(&bridge.settings, stop, &mut failed)? else { return Ok(()) };
     let shared = Shared {
         sessions: &sessions,
@@ -89,12 +90,12 @@ fn carry(
     let result = watch.run(&shared);
     let life = if result.is_ok() && !stop.forced() { Life::Ended } else { Life::Starting };
     watch.reporter.record.status.set_life(life);
-    watch.reporter.report(sessions.reach_anybody());
+    watch.reporter.report(sessions.reaches_any_machine());
     result
 }
 
 /// Warns of hosts without an address, in a thread, because a look-up may take seconds.
-fn look_up(connect: &[String]) {
+fn warn_of_unknown_hosts(connect: &[String]) {
     let endpoints = connect.to_vec();
     std::thread::spawn(move || {
         let faults = endpoints.iter().filter_map(|endpoint| check_host(endpoint).err());
@@ -111,8 +112,8 @@ fn subscribe_to_heartbeats<'a>(shared: &Shared<'a>, bridge: &BridgePlan) -> Resu
         let (links, machine) = (Arc::clone(shared.links), peer.to_owned());
         let key = heartbeat_key(shared.pipeline, peer);
         let zenoh_key = key.clone();
-        let hear = move |bytes: ZBytes| links.heard(&machine, &zenoh_key, &bytes.to_bytes());
-        shared.sessions.subscriber(&key, Some(3 * HEARTBEAT_PERIOD), hear)
+        let on_heartbeat = move |bytes: ZBytes| links.receive_heartbeat(&machine, &zenoh_key, &bytes.to_bytes());
+        shared.sessions.subscriber(&key, Some(3 * HEARTBEAT_PERIOD), on_heartbeat)
     };
     bridge.peers().into_iter().map(subscribe).collect()
 }
@@ -173,7 +174,7 @@ impl<'a> Watch<'a> {
 
     fn report(&mut self) {
         handshakes::report();
-        let reachable = self.sessions.reach_anybody();
+        let reachable = self.sessions.reaches_any_machine();
         self.reporter.report(reachable);
         if reachable {
             self.memory_trim.step();
@@ -182,7 +183,7 @@ impl<'a> Watch<'a> {
 
     fn send_heartbeat(&mut self, news: News) {
         self.sent = (Instant::now(), news.clone());
-        self.links.say(&self.own_key, news, |bytes| self.publisher.put(bytes));
+        self.links.send_heartbeat(&self.own_key, news, |bytes| self.publisher.put(bytes));
     }
 }
 
@@ -266,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn two_bridges_tell_that_they_meet_and_carry_an_edge_until_its_end_and_the_next_of_the_run_knows() {
+    fn two_bridges_report_their_link_and_carry_an_edge_to_its_end_and_the_journal_holds_it() {
         let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
         let (plans, [robot, base]) = (plans(), folders.each_ref().map(tempfile::TempDir::path));
         let edge = &plans[1].incoming[0];
@@ -301,19 +302,19 @@ mod tests {
     }
 
     #[test]
-    fn a_bridge_ends_where_all_who_read_what_comes_have_ended_although_nobody_sends_it() {
+    fn a_bridge_ends_when_all_readers_have_ended_although_no_other_machine_is_there() {
         assert_eq!(ended_alone(Stop::default()), Some(Life::Ended));
     }
 
     #[test]
-    fn a_bridge_that_is_told_to_end_in_order_while_it_starts_comes_to_its_end_all_the_same() {
+    fn a_bridge_that_is_asked_to_end_in_order_while_it_starts_still_ends_in_order() {
         let stop = Stop::default();
         stop.request();
         assert_eq!(ended_alone(stop), Some(Life::Ended));
     }
 
     #[test]
-    fn a_bridge_that_is_made_to_end_has_not_come_to_its_end_and_leaves_a_journal_where_another_can_come_after_it() {
+    fn a_bridge_that_is_forced_to_end_has_not_ended_in_order_and_leaves_a_journal_if_another_may_replace_it() {
         for (run, is_kept) in [(RUN, true), (NO_RUN, false)] {
             let (folder, stop, [robot, _]) = (tempfile::tempdir().unwrap(), Stop::default(), plans());
             let is_running =
@@ -335,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn a_heartbeat_is_sent_at_once_with_news_or_to_answer_and_else_five_times_a_second() {
+    fn a_heartbeat_is_sent_at_once_with_news_or_as_an_answer_and_otherwise_five_times_a_second() {
         let (none, some) = (News::default(), News { acks: vec![Ack::default()], ..News::default() });
         let begin = Instant::now();
         let is_due = |owes_answer: bool, news: &News, passed_ms: u64| {

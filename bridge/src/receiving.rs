@@ -2,14 +2,15 @@
 
 use crate::channel::Channel;
 use crate::error::BridgeError;
-use crate::peer::counts::{EdgeCounts, MalformedCounter};
+use crate::gate::{Gate, Refusals};
+use crate::peer::counts::EdgeCounts;
 use crate::peer::heartbeat::Ack;
 use crate::peer::links::Links;
 use crate::reliable::passed_on::PassedOn;
 use crate::reliable::retransmit_queue::END_PATIENCE;
 use crate::reliable::sequence::{Claim, Sequence, Verdict};
-use crate::sending::Shared;
 use crate::session::Subscriber;
+use crate::shared::Shared;
 use crate::wire::codec::{Codec, codec_of};
 use crate::wire::seal::session_of;
 use crate::wire::{StreamPosition, WireError, open_message, position_of};
@@ -57,7 +58,7 @@ pub(super) struct Receiving<'a> {
     peers: Peers,
     stop: Stop,
     refusals: Arc<Refusals>,
-    told: BTreeSet<&'static str>,
+    logged_paths: BTreeSet<&'static str>,
 }
 
 impl<'a> Receiving<'a> {
@@ -107,7 +108,7 @@ impl<'a> Receiving<'a> {
             peers: shared.peers.clone(),
             stop: shared.stop.clone(),
             refusals,
-            told: BTreeSet::new(),
+            logged_paths: BTreeSet::new(),
         })
     }
 
@@ -124,11 +125,11 @@ impl<'a> Receiving<'a> {
     /// Carries messages until all writers, all readers or the run have ended. Returns whether nothing more is wanted of the other
     /// machine.
     pub(super) fn carry(&mut self) -> Result<bool, BridgeError> {
-        let (began, mut looked, mut unread) = (Instant::now(), Instant::now(), Unread::default());
+        let (began, mut checked, mut unread) = (Instant::now(), Instant::now(), Unread::default());
         while !self.stop.requested() && self.ended.len() < self.edge.writers.len() {
-            if looked.elapsed() > IDLE_CHECK_PERIOD {
-                looked = Instant::now();
-                if unread.is_for_good(self.nobody_reads(), looked) {
+            if checked.elapsed() > IDLE_CHECK_PERIOD {
+                checked = Instant::now();
+                if unread.is_for_good(self.nobody_reads(), checked) {
                     break;
                 }
                 if self.is_rest_lost(began) {
@@ -182,7 +183,7 @@ impl<'a> Receiving<'a> {
         let (from, topic) = (&self.edge.from, &self.edge.topic.name);
         let began = Instant::now();
         loop {
-            self.links.finish(from, topic);
+            self.links.note_finished(from, topic);
             let (_, is_known) = self.links.is_finished(from, topic);
             let silence = self.links.silence(from, began);
             if is_known || !self.lossless || self.stop.forced() || silence > END_PATIENCE {
@@ -194,9 +195,9 @@ impl<'a> Receiving<'a> {
 
     /// Subscribes to the stream where datagrams are too rare, and logs each path once.
     fn choose_path(&mut self) -> Result<(), BridgeError> {
-        if let Some(way) = self.subscriber.choose()?.filter(|way| self.told.insert(way)) {
+        if let Some(path) = self.subscriber.choose()?.filter(|path| self.logged_paths.insert(path)) {
             let (topic, from) = (&self.edge.topic.name, &self.edge.from);
-            tracing::info!("topic `{topic}` of machine `{from}` comes by {way}");
+            tracing::info!("topic `{topic}` of machine `{from}` comes by {path}");
         }
         Ok(())
     }
@@ -241,7 +242,7 @@ impl<'a> Receiving<'a> {
             self.sequence.taken();
             self.follow.insert(writer.clone(), header.number.saturating_add(1));
         }
-        if header.ends_stream() && self.sequence.is_end_to_hear(position, verdict) {
+        if header.ends_stream() && self.sequence.counts_as_end(position, verdict) {
             self.links.note_end(&self.edge.from, &self.edge.topic.name, &writer, header.number);
             self.ended.insert(writer);
         }
@@ -258,6 +259,23 @@ impl<'a> Receiving<'a> {
         Ok((position, header))
     }
 
+    /// Decides whether a message is to be taken; reports messages that turn out to be forged.
+    fn judge(&mut self, claim: Claim) -> Verdict {
+        let (stream, _) = self.sequence.expected();
+        let verdict = self.sequence.judge(claim, Instant::now());
+        if self.sequence.expected().0 != stream {
+            self.follow.clear();
+        }
+        if self.sequence.take_misled() {
+            self.refusals.warn_of_forgery("took", "its number was one that has not been reached");
+        }
+        if self.sequence.take_refuted() {
+            self.refusals.warn_of_forgery("left out", "what followed contradicts it");
+        }
+        verdict
+    }
+
+    /// Writes a message into shared memory, with its times by this machine's clock; with `latest`, drops it if it is stale.
     fn pass_on(&mut self, mut header: Header, wire_bytes: usize) -> Result<(), PortError> {
         if header.ends_stream() {
             return Ok(());
@@ -283,7 +301,7 @@ impl<'a> Receiving<'a> {
         let finished = self.passed_on.finished(self.output_port.unfinished(), (stream, next));
         let ended = self.ended.iter().cloned().collect();
         let (from, topic) = (self.edge.from.clone(), self.edge.topic.name.clone());
-        self.links.received(Ack { from, topic, stream, next, finished, ended });
+        self.links.note_ack(Ack { from, topic, stream, next, finished, ended });
     }
 
     /// Skips an undecodable message: otherwise it would be retransmitted for ever and block all later ones.
@@ -295,22 +313,6 @@ impl<'a> Receiving<'a> {
             EdgeCounts::add(&self.counts.refused, 1);
         }
         self.acknowledge();
-    }
-
-    /// Decides whether a message is to be taken; reports messages that turn out to be forged.
-    fn judge(&mut self, claim: Claim) -> Verdict {
-        let (stream, _) = self.sequence.expected();
-        let verdict = self.sequence.judge(claim, Instant::now());
-        if self.sequence.expected().0 != stream {
-            self.follow.clear();
-        }
-        if self.sequence.take_misled() {
-            self.refusals.warn_of_forgery("took", "its number was one that has not been reached");
-        }
-        if self.sequence.take_refuted() {
-            self.refusals.warn_of_forgery("left out", "what followed contradicts it");
-        }
-        verdict
     }
 }
 
@@ -340,77 +342,10 @@ fn to_own_clock(header: &mut Header, offset_ns: Option<i64>, now_ns: u64) -> Dur
     Duration::from_nanos(now_ns - own(sent_ns))
 }
 
-/// Admits the messages that come under the Zenoh key of an edge. It stands before the [`Channel`], so that refused messages take
-/// no room there.
-struct Gate {
-    zenoh_key: String,
-    from: String,
-    links: Arc<Links>,
-    refusals: Arc<Refusals>,
-}
-
-impl Gate {
-    /// Whether a message was made by the present session of the other machine's bridge. Messages of a session that has not proved
-    /// itself yet are dropped without being counted: they come again, or are not wanted yet.
-    fn admits(&self, bytes: &[u8]) -> bool {
-        let opened = self.links.seal().open(&self.zenoh_key, bytes);
-        let present = opened.map(|session| self.links.is_present(&self.from, session));
-        match present {
-            Ok(Ok(is_present)) => return is_present,
-            Ok(Err(reason)) => self.refusals.leave_out(&reason),
-            Err(error) => self.refusals.leave_out(&error),
-        }
-        false
-    }
-}
-
-/// Counts the refused messages of an edge, and logs them now and then.
-struct Refusals {
-    topic: String,
-    from: String,
-    left_out: MalformedCounter,
-    /// Counted separately: otherwise a flood of undecodable messages would suppress the reports of forged ones.
-    forged: MalformedCounter,
-}
-
-impl Refusals {
-    fn new(edge: &Edge, counts: Arc<EdgeCounts>) -> Self {
-        let (topic, from) = (edge.topic.name.clone(), edge.from.clone());
-        let left_out = MalformedCounter::new(Arc::clone(&counts));
-        Self { topic, from, left_out, forged: MalformedCounter::new(counts) }
-    }
-
-    fn warn_of_forgery(&self, did: &str, why: &str) {
-        let Self { topic, from, .. } = self;
-        self.forged.add(format_args!(
-            "{did} a message of topic `{topic}` that machine `{from}` has not sent: {why}\n  \
-             hint: any machine that can connect can send; with the same `key` on all machines only these can"
-        ));
-    }
-
-    fn leave_out(&self, reason: &dyn std::fmt::Display) {
-        let Self { topic, from, .. } = self;
-        self.left_out.add(format_args!("left out a message of topic `{topic}` from machine `{from}`: {reason}"));
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::edge_tests;
-    use crate::peer::heartbeat::News;
-    use crate::peer::journal::Journal;
-    use crate::wire::encode_message;
-    use crate::wire::seal::{Seal, secret};
-    use conicflow_dataflow::pipeline::Compression;
-    use conicflow_dataflow::{BridgePlan, ItemType};
-    use conicflow_messages::{Hop, Object};
-
-    const ZENOH_KEY: &str = "conicflow/tracking/robot/objects";
-
-    fn edge(from: &str) -> Edge {
-        Edge { from: from.to_owned(), ..edge_tests::edge(Delivery::Latest, BRIDGE) }
-    }
+    use conicflow_messages::Hop;
 
     /// Returns the hops `[received_ns, sent_ns]` of a message that two stages have sent, by this machine's clock, which reads
     /// 1000, and how long it was under way.
@@ -424,7 +359,7 @@ mod tests {
     }
 
     #[test]
-    fn times_of_the_other_machine_become_own_ones_and_none_is_after_now() {
+    fn times_of_the_other_machine_are_converted_to_the_local_clock_and_never_lie_in_the_future() {
         let hops = [[5100, 5300], [5400, 5900]];
         assert_eq!(own_times(Some(5000), hops), ([[100, 300], [400, 900]], 100));
         assert_eq!(own_times(Some(4500), hops), ([[600, 800], [900, 1000]], 0), "it cannot be sent later than it came");
@@ -443,64 +378,23 @@ mod tests {
     }
 
     #[test]
-    fn nobody_reads_for_good_when_no_reader_was_at_work_for_a_while_however_long_it_took_to_look_again() {
+    fn readers_are_gone_for_good_after_a_time_without_any_however_long_the_pause_between_two_checks() {
         let start = Instant::now();
-        let looks = |looks: &[(u64, bool)]| {
+        let checks = |checks: &[(u64, bool)]| {
             let mut unread = Unread::default();
-            let look =
+            let check =
                 |&(after_s, nobody_reads)| unread.is_for_good(nobody_reads, start + Duration::from_secs(after_s));
-            looks.iter().map(look).collect::<Vec<_>>()
+            checks.iter().map(check).collect::<Vec<_>>()
         };
         assert_eq!(
-            looks(&[(0, false), (60, false), (61, true)]),
+            checks(&[(0, false), (60, false), (61, true)]),
             [false; 3],
             "a reader held the bridge up for a minute"
         );
-        assert_eq!(looks(&[(0, true), (5, true), (6, true)]), [false, false, true]);
+        assert_eq!(checks(&[(0, true), (5, true), (6, true)]), [false, false, true]);
         assert_eq!(
-            looks(&[(0, true), (4, false), (5, true), (10, true), (11, true)]),
+            checks(&[(0, true), (4, false), (5, true), (10, true), (11, true)]),
             [false, false, false, false, true]
         );
-    }
-
-    fn sealed(seal: &Seal, zenoh_key: &str) -> Vec<u8> {
-        let (item, header) = (ItemType::of::<Object>(), Header::default());
-        let mut bytes = encode_message(StreamPosition::default(), &item, &header, &[], Compression::None).unwrap();
-        seal.close(zenoh_key, &mut bytes);
-        bytes
-    }
-
-    #[test]
-    fn nothing_passes_that_the_present_bridge_there_has_not_made_and_it_is_counted() {
-        let secrets = [secret(), secret()];
-        let links = |machine: &str, peer: &str, session: u64| {
-            let plan = BridgePlan { machine: machine.into(), incoming: vec![edge(peer)], ..BridgePlan::default() };
-            Arc::new(Links::new(Journal::open(None, 7, session), Seal::new(Some(&secrets[0]), session), &plan))
-        };
-        let (theirs, ours) = (links("robot", "base", 5), links("base", "robot", 9));
-        let counts = Arc::<EdgeCounts>::default();
-        let refusals = Arc::new(Refusals::new(&edge("robot"), Arc::clone(&counts)));
-        let (zenoh_key, from) = (ZENOH_KEY.to_owned(), "robot".to_owned());
-        let gate = Gate { zenoh_key, from, links: Arc::clone(&ours), refusals };
-        let good = sealed(theirs.seal(), ZENOH_KEY);
-        assert!(!gate.admits(&good), "it has not proved to be the present one");
-        assert_eq!(counts.malformed.load(Ordering::Relaxed), 0);
-        for _ in 0..2 {
-            theirs.say("@robot", News::default(), |bytes| ours.heard("robot", "@robot", &bytes));
-            ours.say("@base", News::default(), |bytes| theirs.heard("base", "@base", &bytes));
-        }
-        assert!(gate.admits(&good));
-        let changed = |at: usize| [&good[..at], &[good[at] ^ 1], &good[at + 1..]].concat();
-        let mut refused: Vec<Vec<u8>> = (0..good.len()).map(changed).collect();
-        refused.extend([
-            sealed(theirs.seal(), "conicflow/tracking/robot/tracks"),
-            sealed(&Seal::new(Some(&secrets[0]), 4), ZENOH_KEY),
-            sealed(&Seal::new(Some(&secrets[1]), 5), ZENOH_KEY),
-            sealed(&Seal::new(None, 5), ZENOH_KEY),
-            b"garbage".to_vec(),
-        ]);
-        let passed: Vec<_> = refused.iter().filter(|bytes| gate.admits(bytes)).collect();
-        assert!(passed.is_empty(), "{passed:?}");
-        assert_eq!(counts.malformed.load(Ordering::Relaxed), refused.len() as u64);
     }
 }

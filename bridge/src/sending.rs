@@ -6,16 +6,16 @@ use crate::peer::counts::{EdgeCounts, MalformedCounter};
 use crate::peer::links::Links;
 use crate::reliable::retransmit_queue::RetransmitQueue;
 use crate::reliable::send_log::SendLog;
-use crate::session::{Publisher, Sessions};
+use crate::session::Publisher;
+use crate::shared::Shared;
 use crate::wire::codec::{Codec, codec_of};
 use crate::wire::{StreamPosition, WireError, message_bytes};
 use conicflow_dataflow::pipeline::BRIDGE;
 use conicflow_dataflow::ports::{Delivery, Received, Transport};
-use conicflow_dataflow::relay::{InputPort, Peers, SharedMemory, SharedReader, end_of_stream};
+use conicflow_dataflow::relay::{InputPort, Peers, SharedReader, end_of_stream};
 use conicflow_dataflow::{Edge, InputCounts, Stop, monotonic_ns};
 use conicflow_messages::{Header, Text};
 use std::collections::BTreeSet;
-use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
@@ -29,29 +29,6 @@ const LISTS_WAIT: Duration = Duration::from_millis(100);
 const IMAGES_WAIT: Duration = Duration::from_millis(40);
 /// How often a full queue checks for acknowledgements.
 const FULL_CHECK_PERIOD: Duration = Duration::from_millis(2);
-
-/// The state that the threads of a bridge share.
-pub(super) struct Shared<'a> {
-    pub sessions: &'a Sessions,
-    pub transport: &'a SharedMemory,
-    pub links: &'a Arc<Links>,
-    pub pipeline: &'a str,
-    pub machine: &'a str,
-    /// Number of this start of the bridge.
-    pub session: u64,
-    /// The folder for the log of unacknowledged messages, if another process may replace this one.
-    pub log_folder: Option<&'a Path>,
-    pub outage: Duration,
-    pub peers: &'a Peers,
-    pub stop: &'a Stop,
-}
-
-impl Shared<'_> {
-    /// The Zenoh key of a topic that machine `from` writes.
-    pub(super) fn key(&self, from: &str, topic: &str) -> String {
-        format!("conicflow/{}/{from}/{topic}", self.pipeline)
-    }
-}
 
 /// The sending thread of one edge.
 pub(super) struct Sending<'a> {
@@ -120,7 +97,7 @@ impl<'a> Sending<'a> {
         if !self.stop.forced() {
             self.queue.close();
         }
-        self.tell_what_is_lost();
+        self.report_losses();
         Ok(())
     }
 
@@ -134,7 +111,7 @@ impl<'a> Sending<'a> {
 
     /// Whether there is a receiver: a machine of the pipeline, or another program that has subscribed.
     fn is_wanted(&self) -> bool {
-        self.queue.is_wanted(|machine| self.links.is_connected(machine)) || self.publisher.is_heard()
+        self.queue.is_wanted(|machine| self.links.is_connected(machine)) || self.publisher.has_subscriber()
     }
 
     /// Updates the queue with acknowledgements, and retransmits what is due.
@@ -196,7 +173,7 @@ impl<'a> Sending<'a> {
 
     /// Puts a message onto the link, with the session and the code of this process.
     fn put(&mut self, mut bytes: Vec<u8>) {
-        self.links.seal().close(&self.zenoh_key, &mut bytes);
+        self.links.seal().sign(&self.zenoh_key, &mut bytes);
         self.publisher.put(bytes);
     }
 
@@ -232,7 +209,7 @@ impl<'a> Sending<'a> {
         !self.ended.contains(writer) && self.peers.is_over(writer)
     }
 
-    fn tell_what_is_lost(&self) {
+    fn report_losses(&self) {
         let lost = self.queue.lost_if_it_ends();
         self.counts.lost.store(lost, Ordering::Relaxed);
         loss(lost, &self.edge.topic.name).iter().for_each(|loss| tracing::error!("{loss}"));
@@ -272,8 +249,8 @@ impl<'a> Encoder<'a> {
 
 /// The report of messages that lossless receivers did not get, if there are any.
 fn loss(lost: u64, topic: &str) -> Option<String> {
-    let told = || format!("{lost} messages of the lossless topic `{topic}` did not reach all machines that read it");
-    (lost > 0).then(told)
+    let text = || format!("{lost} messages of the lossless topic `{topic}` did not reach all machines that read it");
+    (lost > 0).then(text)
 }
 
 #[cfg(test)]
@@ -289,7 +266,7 @@ mod tests {
     use conicflow_messages::{Camera, Object};
 
     #[test]
-    fn an_image_that_is_too_large_or_does_not_fill_its_size_is_left_out_and_counted_and_others_are_sent() {
+    fn an_image_that_is_too_large_or_incomplete_is_left_out_and_counted_and_others_are_sent() {
         for compression in [Compression::None, Compression::Lz4, Compression::Zstd] {
             let edge = Edge { item: ItemType::of::<u16>(), compression, ..edge(Delivery::Latest, BRIDGE) };
             let counts = Arc::<EdgeCounts>::default();
@@ -304,14 +281,14 @@ mod tests {
                 assert_eq!(counts.malformed.load(Ordering::Relaxed), left_out as u64 + 1);
             }
             let bytes = encoder.message(position, &of_size(2, 1), &items).unwrap();
-            let (there, _, came) = decode_message(&bytes, &edge.item).unwrap();
-            assert_eq!((there, came), (position, items.to_vec()));
+            let (decoded_position, _, decoded_items) = decode_message(&bytes, &edge.item).unwrap();
+            assert_eq!((decoded_position, decoded_items), (position, items.to_vec()));
             assert_eq!(counts.malformed.load(Ordering::Relaxed), 4);
         }
     }
 
     #[test]
-    fn no_more_leaves_than_what_is_not_acknowledged_has_room_for() {
+    fn sending_stops_when_the_log_of_unacknowledged_messages_is_full() {
         let folder = tempfile::tempdir().unwrap();
         let robot = Side::new("robot", edge(Delivery::Lossless, BRIDGE), folder.path(), None);
         let ([sessions, _], peers) = (joined(|address| address), Peers::default());
@@ -325,7 +302,7 @@ mod tests {
     }
 
     #[test]
-    fn where_the_newest_wins_what_was_sent_between_two_bridges_of_a_run_is_counted_as_dropped_and_missing() {
+    fn with_latest_messages_sent_between_two_bridges_of_a_run_count_as_dropped_and_missing() {
         let folder = tempfile::tempdir().unwrap();
         let robot = Side::new("robot", edge(Delivery::Latest, BRIDGE), folder.path(), None);
         let ([sessions, _], peers) = (joined(|address| address), Peers::default());
@@ -342,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn where_the_newest_wins_an_edge_is_wanted_by_who_listens_to_its_key() {
+    fn with_latest_an_edge_is_wanted_by_any_subscriber_of_its_key() {
         let folder = tempfile::tempdir().unwrap();
         let robot = Side::new("robot", edge(Delivery::Latest, BRIDGE), folder.path(), None);
         let ([sessions, base], peers) = (joined(|address| address), Peers::default());
@@ -353,7 +330,7 @@ mod tests {
     }
 
     #[test]
-    fn who_is_made_to_end_counts_what_was_not_acknowledged_as_lost() {
+    fn an_edge_that_is_forced_to_end_counts_unacknowledged_messages_as_lost() {
         let folder = tempfile::tempdir().unwrap();
         let robot = Side::new("robot", edge(Delivery::Lossless, BRIDGE), folder.path(), None);
         let ([sessions, _], peers) = (joined(|address| address), Peers::default());
@@ -366,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_lost_is_told_and_nothing_where_all_arrived() {
+    fn lost_messages_are_reported_and_nothing_when_all_arrived() {
         assert_eq!(loss(0, "objects"), None);
         assert!(loss(1, "objects").unwrap().starts_with("1 messages of the lossless topic `objects`"));
     }

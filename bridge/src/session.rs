@@ -37,7 +37,7 @@ impl Sessions {
     /// attempt.
     pub(super) fn open(machine: &Machine, stop: &Stop, mut failed: impl FnMut()) -> Result<Option<Self>, BridgeError> {
         let (streams, datagrams) = settings::configurations(machine)?;
-        let mut told = false;
+        let mut is_reported = false;
         while !stop.forced() {
             match zenoh::open(streams.clone()).wait() {
                 Ok(streams) => {
@@ -45,14 +45,14 @@ impl Sessions {
                     datagrams.iter().for_each(|config| sessions.open_datagrams(config, stop));
                     return Ok(Some(sessions));
                 }
-                Err(error) if !told => tracing::warn!(
+                Err(error) if !is_reported => tracing::warn!(
                     "the link cannot be opened yet, and is tried again: {}\n  \
                      hint: does another program listen there, and do the files of the `zenoh` configuration exist?",
                     in_short(&*error)
                 ),
                 Err(_) => {}
             }
-            told = true;
+            is_reported = true;
             failed();
             std::thread::sleep(OPEN_AGAIN);
         }
@@ -83,8 +83,8 @@ impl Sessions {
     }
 
     /// Whether there is a link to any other machine or router.
-    pub(super) fn reach_anybody(&self) -> bool {
-        [Some(&self.streams), self.datagrams.get()].into_iter().flatten().any(reaches_anybody)
+    pub(super) fn reaches_any_machine(&self) -> bool {
+        [Some(&self.streams), self.datagrams.get()].into_iter().flatten().any(has_link)
     }
 
     /// Declares a key for publishing, also over datagrams if messages are `short`.
@@ -111,7 +111,7 @@ impl Sessions {
 }
 
 /// Whether a session has a link to a router or a peer.
-pub(crate) fn reaches_anybody(session: &Session) -> bool {
+pub(crate) fn has_link(session: &Session) -> bool {
     let info = session.info();
     info.routers_zid().wait().chain(info.peers_zid().wait()).next().is_some()
 }
@@ -145,7 +145,7 @@ impl Publisher<'_> {
     /// subscribers only once, and the question may be lost.
     fn ask_who_listens(&mut self) {
         let Some(session) = self.sessions.datagrams.get().filter(|_| self.short) else { return };
-        let has_answer = |(publisher, asked): &(_, Instant)| asked.elapsed() < ASK_AGAIN || is_heard(publisher);
+        let has_answer = |(publisher, asked): &(_, Instant)| asked.elapsed() < ASK_AGAIN || has_subscriber(publisher);
         if !self.datagrams.as_ref().is_some_and(has_answer) {
             self.datagrams = None;
             self.datagrams =
@@ -158,8 +158,8 @@ impl Publisher<'_> {
     }
 
     /// Whether there is a subscriber.
-    pub(super) fn is_heard(&self) -> bool {
-        self.publishers().any(is_heard)
+    pub(super) fn has_subscriber(&self) -> bool {
+        self.publishers().any(has_subscriber)
     }
 }
 
@@ -177,7 +177,7 @@ fn key_for_datagrams(key: &str) -> String {
     format!("*/{after_first_part}")
 }
 
-fn is_heard(publisher: &pubsub::Publisher) -> bool {
+fn has_subscriber(publisher: &pubsub::Publisher) -> bool {
     publisher.matching_status().wait().is_ok_and(|status| status.matching())
 }
 
@@ -201,14 +201,14 @@ pub(super) struct Subscriber<'a> {
 struct Datagrams {
     silence: Duration,
     asked: Instant,
-    came: Arc<Mutex<Option<Instant>>>,
+    last_datagram_at: Arc<Mutex<Option<Instant>>>,
     _subscriber: pubsub::Subscriber<()>,
 }
 
 impl Datagrams {
     fn come(&self) -> bool {
-        let came = *lock(&self.came);
-        came.is_some_and(|came| came.elapsed() < self.silence)
+        let last_datagram_at = *lock(&self.last_datagram_at);
+        last_datagram_at.is_some_and(|last_datagram_at| last_datagram_at.elapsed() < self.silence)
     }
 }
 
@@ -220,14 +220,14 @@ impl Subscriber<'_> {
     /// Subscribes to datagrams, if they are used and their session is open.
     fn ask_for_datagrams(&mut self) -> Result<(), BridgeError> {
         let (Some(session), Some(silence)) = (self.sessions.datagrams.get(), self.silence) else { return Ok(()) };
-        let (take, came) = (Arc::clone(&self.take), Arc::<Mutex<Option<Instant>>>::default());
-        let clock = Arc::clone(&came);
+        let (take, last_datagram_at) = (Arc::clone(&self.take), Arc::<Mutex<Option<Instant>>>::default());
+        let clock = Arc::clone(&last_datagram_at);
         let note_and_take = move |bytes| {
             *lock(&clock) = Some(Instant::now());
             take(bytes);
         };
         let subscriber = subscribe(session, key_for_datagrams(&self.key), Arc::new(note_and_take))?;
-        self.datagrams = Some(Datagrams { silence, asked: Instant::now(), came, _subscriber: subscriber });
+        self.datagrams = Some(Datagrams { silence, asked: Instant::now(), last_datagram_at, _subscriber: subscriber });
         Ok(())
     }
 
@@ -274,7 +274,7 @@ pub(crate) mod tests {
     /// Starts a proxy to an address that loses the first datagram with a part of the key in it.
     fn losing_the_first_with_the_key(address: SocketAddr) -> SocketAddr {
         let (front, back) = (UdpSocket::bind("127.0.0.1:0").unwrap(), UdpSocket::bind("127.0.0.1:0").unwrap());
-        let way = front.local_addr().unwrap();
+        let proxy_address = front.local_addr().unwrap();
         back.connect(address).unwrap();
         std::thread::spawn(move || {
             let (mut buffer, mut is_lost) = (vec![0; 65536], false);
@@ -297,14 +297,14 @@ pub(crate) mod tests {
                 }
             }
         });
-        way
+        proxy_address
     }
 
     #[test]
-    fn short_messages_come_by_datagrams_though_the_question_for_them_is_lost_and_by_the_stream_where_none_come() {
+    fn short_messages_use_datagrams_even_after_a_lost_subscription_and_the_stream_when_no_datagrams_come() {
         for between in [|address: SocketAddr| address, losing_the_first_with_the_key] {
             let [robot, base] = joined(between);
-            let (take, heard) = channel();
+            let (take, received) = channel();
             let mut publisher = robot.publisher(KEY, true, Priority::InteractiveHigh).unwrap();
             let mut subscriber =
                 base.subscriber(KEY, Some(Duration::from_secs(1)), move |bytes| drop(take.send(bytes))).unwrap();
@@ -312,19 +312,19 @@ pub(crate) mod tests {
                 wait_until("a message comes as it is to come", || {
                     subscriber.choose().unwrap();
                     publisher.put(b"objects".to_vec());
-                    let is_heard = heard.recv_timeout(Duration::from_millis(20)).is_ok();
-                    is_heard && subscriber.stream.is_some() == by_the_stream
+                    let has_subscriber = received.recv_timeout(Duration::from_millis(20)).is_ok();
+                    has_subscriber && subscriber.stream.is_some() == by_the_stream
                 });
             };
             publish_until_it_comes(false);
             robot.datagrams.get().unwrap().close().wait().unwrap();
-            while heard.try_recv().is_ok() {}
+            while received.try_recv().is_ok() {}
             publish_until_it_comes(true);
         }
     }
 
     #[test]
-    fn who_listens_to_datagrams_is_asked_anew_after_a_while_and_not_with_each_message() {
+    fn a_publisher_asks_for_datagram_subscribers_again_after_a_while_and_not_with_each_message() {
         let [robot, _base] = joined(|address| address);
         let mut publisher = robot.publisher(KEY, true, Priority::InteractiveHigh).unwrap();
         wait_until("there are datagrams", || {
@@ -342,7 +342,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn who_sends_no_datagrams_is_asked_anew_after_a_while_and_not_with_each_look() {
+    fn a_subscriber_asks_for_datagrams_again_after_a_while_and_not_with_each_check() {
         let [_robot, base] = joined(|address| address);
         let mut subscriber = base.subscriber(KEY, Some(Duration::from_secs(1)), |_| ()).unwrap();
         wait_until("there are datagrams", || {
@@ -360,33 +360,33 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn it_is_known_whether_anybody_is_there_and_whether_anybody_listens() {
+    fn it_is_known_whether_a_machine_is_reached_and_whether_it_subscribes() {
         let alone = Sessions::open(&Machine::default(), &Stop::default(), || ()).unwrap().unwrap();
         let [robot, base] = joined(|address| address);
         let publisher = robot.publisher(KEY, false, Priority::DataLow).unwrap();
-        assert!(!alone.reach_anybody() && !publisher.is_heard());
+        assert!(!alone.reaches_any_machine() && !publisher.has_subscriber());
         let _subscriber = base.subscriber(KEY, None, |_| ()).unwrap();
-        let is_known = || robot.reach_anybody() && base.reach_anybody() && publisher.is_heard();
+        let is_known = || robot.reaches_any_machine() && base.reaches_any_machine() && publisher.has_subscriber();
         wait_until("somebody is there and listens", is_known);
     }
 
     #[test]
-    fn what_zenoh_says_is_told_without_the_place_in_its_source() {
+    fn errors_of_zenoh_are_reported_without_their_place_in_its_source() {
         let error = std::io::Error::other("Can not bind a listener at /root/zenoh/src/orchestrator.rs:123.");
         assert_eq!(in_short(&error), "Can not bind a listener");
     }
 
     #[test]
-    fn what_is_long_or_must_not_be_lost_goes_by_the_stream_alone() {
+    fn long_or_lossless_messages_use_only_the_stream() {
         let [robot, base] = joined(|address| address);
-        let (take, heard) = channel();
+        let (take, received) = channel();
         let mut publisher = robot.publisher(KEY, false, Priority::DataLow).unwrap();
         let mut subscriber = base.subscriber(KEY, None, move |bytes| drop(take.send(bytes))).unwrap();
         wait_until("a message comes by the stream", || {
             subscriber.choose().unwrap();
             publisher.put(b"objects".to_vec());
-            let is_heard = heard.recv_timeout(Duration::from_millis(20)).is_ok();
-            is_heard && subscriber.stream.is_some() && subscriber.datagrams.is_none()
+            let has_subscriber = received.recv_timeout(Duration::from_millis(20)).is_ok();
+            has_subscriber && subscriber.stream.is_some() && subscriber.datagrams.is_none()
         });
         assert!(publisher.datagrams.is_none());
     }

@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_open_unless_written() {
+    fn no_port_is_open_unless_the_file_says_so() {
         let config = configurations(&Machine::default()).unwrap().0;
         for (key, expected) in [
             ("listen/endpoints", "[]"),
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn an_open_port_has_to_be_asked_for() {
+    fn an_open_port_without_a_key_has_to_be_requested() {
         for closed in ["tcp/127.0.0.1:7447", "tcp/[::1]:7447", "tls/localhost:7447", "tcp/localhost:7447"] {
             assert_eq!(check(&listening(closed)), Ok(()), "{closed}");
         }
@@ -327,7 +327,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_wanted_is_left_out_of_lists_of_each_mode() {
+    fn endpoints_that_are_not_wanted_are_left_out_of_lists_of_each_mode() {
         let mut endpoints = json!({ "peer": ["tcp/base:7447", "udp/base:7447"], "client": ["udp/base:7448"] });
         retain_strings(&mut endpoints, |endpoint| !carries_datagrams(endpoint));
         assert_eq!(endpoints, json!({ "peer": ["tcp/base:7447"], "client": [] }));
@@ -346,7 +346,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_adds_to_what_is_safe_and_cannot_open_a_port_in_passing() {
+    fn a_zenoh_file_adds_to_the_safe_settings_and_cannot_open_a_port_unnoticed() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("zenoh.json5");
         let machine = Machine { zenoh: Some(path.clone()), ..Machine::default() };

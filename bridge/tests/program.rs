@@ -19,7 +19,7 @@ fn text(bytes: &[u8]) -> &str {
 }
 
 #[test]
-fn it_answers_what_is_asked_of_a_machine() {
+fn the_program_answers_questions_about_a_machine() {
     let local =
         r#"{"listen": ["tcp/127.0.0.1:7447"], "connect": [], "zenoh": null, "insecure": false, "outage_s": null}"#;
     assert_eq!(text(&ask(&["check"], local).stdout), "{\"Ok\":null}\n");
@@ -31,7 +31,7 @@ fn it_answers_what_is_asked_of_a_machine() {
 }
 
 #[test]
-fn who_starts_it_by_hand_is_told_what_it_is() {
+fn a_user_who_starts_the_program_by_hand_reads_what_it_is_for() {
     for arguments in [&[][..], &["carry"]] {
         let ended = ask(arguments, "");
         assert_eq!(ended.status.code(), Some(2), "{arguments:?}");

@@ -1,11 +1,12 @@
 //! Item types at run time, for code that carries items of unknown type: name, size, and functions to check and show the bytes.
 //!
 //! A type that this program knows has a row in [`BUILT_IN`]: the row makes it available to the pipeline file, the service keeper,
-//! `topic`, `json_sink` and the bridge. Any other type is described in the pipeline file, under `[item.NAME]`.
+//! `topic`, `json_sink`, recordings and the bridge. Any other type is described in the pipeline file, under `[item.NAME]`.
 
 use bytemuck::{cast_slice_mut, try_cast_slice};
 use conicflow_messages::{
-    AnyByte, Ellipse, Header, Item, Layout, LayoutFault, Line, Malformed, Message, Object, ToJson, Track, Velocity,
+    AnyByte, Ellipse, Fields, Header, Item, Layout, LayoutFault, Line, Malformed, Message, Named, Object, ToJson,
+    Track, Velocity,
 };
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
@@ -16,9 +17,9 @@ use std::sync::Arc;
 pub static BUILT_IN: [ItemType; 5] = [
     ItemType::shown::<u16>(),
     ItemType::shown::<Ellipse>(),
-    ItemType::shown::<Object>(),
-    ItemType::shown::<Track>(),
-    ItemType::shown::<Velocity>(),
+    ItemType::named::<Object>(),
+    ItemType::named::<Track>(),
+    ItemType::named::<Velocity>(),
 ];
 
 /// Maximum alignment of items, in bytes; shared memory and buffers are aligned to it.
@@ -28,6 +29,7 @@ const SHORT_LIST: usize = 64 * 1024;
 
 type Check = fn(&Header, &[u8]) -> Result<(), Malformed>;
 type Json = fn(&AnyMessage<'_>, Option<f64>, &mut Vec<u8>) -> serde_json::Result<()>;
+type FieldsOf = fn(&AnyMessage<'_>) -> Option<Vec<Fields<'static>>>;
 type Labels = fn(&AnyMessage<'_>, &mut dyn FnMut(&'static str));
 
 /// An item type.
@@ -47,8 +49,8 @@ pub struct ItemType {
 /// How the bytes of items are checked and shown.
 #[derive(Clone, Debug)]
 enum Form {
-    /// By code for a Rust type; showing is optional.
-    Known(Check, Labels, Option<Json>),
+    /// By code for a Rust type; JSON and named fields are optional.
+    Known(Check, Labels, Option<Json>, Option<FieldsOf>),
     /// By the description in the pipeline file.
     Described(Arc<Layout>),
 }
@@ -56,15 +58,20 @@ enum Form {
 impl ItemType {
     /// Item type of a Rust type.
     pub const fn of<T: Item>() -> Self {
-        Self::known::<T>(None)
+        Self::known::<T>(None, None)
     }
 
     /// Item type of a Rust type that can be shown as JSON.
     pub const fn shown<T: ToJson>() -> Self {
-        Self::known::<T>(Some(json::<T>))
+        Self::known::<T>(Some(json::<T>), None)
     }
 
-    const fn known<T: Item>(json: Option<Json>) -> Self {
+    /// Item type of a Rust type whose fields have names, by which it can be shown as JSON and recorded as a list.
+    pub const fn named<T: Named>() -> Self {
+        Self::known::<T>(Some(json::<T>), Some(fields::<T>))
+    }
+
+    const fn known<T: Item>(json: Option<Json>, fields: Option<FieldsOf>) -> Self {
         const {
             assert!(align_of::<T>() <= MAX_ALIGN, "items are aligned to 8 bytes at most");
             assert!(size_of::<T>() > 0 || T::USUAL_LENGTH == 0, "an item has at least one byte");
@@ -77,7 +84,7 @@ impl ItemType {
             usual_length: T::USUAL_LENGTH,
             is_image: T::IS_IMAGE,
             is_counted: T::IS_COUNTED,
-            form: Form::Known(check::<T>, each_label::<T>, json),
+            form: Form::Known(check::<T>, each_label::<T>, json, fields),
         }
     }
 
@@ -227,6 +234,10 @@ fn json<T: ToJson>(message: &AnyMessage<'_>, latency_ms: Option<f64>, line: &mut
     serde_json::to_writer(line, &Line { header: message.header, latency_ms, kind: T::NAME, content })
 }
 
+fn fields<T: Named>(message: &AnyMessage<'_>) -> Option<Vec<Fields<'static>>> {
+    Some(message.items::<T>()?.iter().map(Named::fields).collect())
+}
+
 /// A message whose item type is known only at run time.
 #[derive(Clone, Copy, Debug)]
 pub struct AnyMessage<'a> {
@@ -252,11 +263,18 @@ impl<'a> AnyMessage<'a> {
 
     /// Calls `tell` with the label under which each item is counted.
     pub(crate) fn each_label(&self, mut tell: impl FnMut(&'static str)) {
-        if let Form::Known(_, labels, _) = &self.item.form
+        if let Form::Known(_, labels, ..) = &self.item.form
             && self.item.is_counted
         {
             labels(self, &mut tell);
         }
+    }
+
+    /// Returns the named fields of each item; `None` if the type has none.
+    pub fn fields(&self) -> Option<Vec<Fields<'a>>> {
+        let row = BUILT_IN.iter().find(|row| row.fits(self.item));
+        let named = row.and_then(|row| if let Form::Known(.., Some(fields)) = row.form { fields(self) } else { None });
+        named.or_else(|| Some(self.item.described_layout()?.items(self.bytes)))
     }
 
     /// Appends the message as JSON; of an image, a summary.
@@ -265,8 +283,8 @@ impl<'a> AnyMessage<'a> {
     /// It cannot be expressed, or it has a Rust type that cannot be shown.
     pub fn write_json(&self, latency_ms: Option<f64>, line: &mut Vec<u8>) -> serde_json::Result<()> {
         match &self.item.form {
-            Form::Known(_, _, Some(json)) => json(self, latency_ms, line),
-            Form::Known(_, _, None) => {
+            Form::Known(_, _, Some(json), _) => json(self, latency_ms, line),
+            Form::Known(_, _, None, _) => {
                 Err(serde::ser::Error::custom(format_args!("items of {} have no form in JSON", self.item)))
             }
             Form::Described(layout) => {
@@ -380,6 +398,18 @@ mod tests {
         message.write_json(None, &mut line).unwrap();
         let told: serde_json::Value = serde_json::from_slice(&line).unwrap();
         assert_eq!(told["objects"].as_array().map(Vec::len), Some(2), "{told}");
+    }
+
+    #[test]
+    fn lists_of_named_and_described_types_have_fields_and_other_items_have_none() {
+        let (header, bytes) = (header(), vec![0_u64; 64]);
+        let length = |item: &ItemType| {
+            let bytes = &bytemuck::cast_slice(&bytes)[..item.size()];
+            AnyMessage { header: &header, item, bytes }.fields().map(|items| items.len())
+        };
+        let lists: Vec<_> = BUILT_IN.iter().map(length).collect();
+        assert_eq!(lists, [None, None, Some(1), Some(1), Some(1)]);
+        assert_eq!([length(&ItemType::of::<Object>()), length(&grasps())], [Some(1); 2]);
     }
 
     #[test]

@@ -228,7 +228,7 @@ pub trait Stage: Sized {
 
 /// Output of a step.
 ///
-/// Images are written directly into the memory that the next stage reads, by [`Output::image`]. Lists, whose length is known only
+/// Images are written directly into the memory that the next stage reads, by [`Output::loan`]. Lists, whose length is known only
 /// at the end, are collected by [`Output::push`] and copied there once.
 pub struct Output<'a, T: Item> {
     /// The header of the message.
@@ -236,7 +236,8 @@ pub struct Output<'a, T: Item> {
     memory: &'a mut dyn Memory,
     list: &'a mut Vec<T>,
     counts: &'a mut BTreeMap<&'static str, u64>,
-    image: bool,
+    /// Whether the items were written in place.
+    is_loaned: bool,
 }
 
 /// An [`Output`] without its item type.
@@ -258,7 +259,7 @@ impl<'a, T: Item> Output<'a, T> {
         list: &'a mut Vec<T>,
     ) -> Self {
         list.clear();
-        Self { header, memory, list, counts, image: false }
+        Self { header, memory, list, counts, is_loaned: false }
     }
 
     /// Appends an item to the list that is sent.
@@ -271,13 +272,14 @@ impl<'a, T: Item> Output<'a, T> {
         self.list.extend_from_slice(items);
     }
 
-    /// Memory for `length` items, to be written in place. Each item must be written: the memory holds the content of an earlier
-    /// message. For items of any type `length` is in items of the actual type, and the memory is their bytes.
+    /// Loans memory for `length` items, which are written in place and then sent; usually they are the pixels of an image. Each
+    /// item must be written: the memory holds the content of an earlier message. For items of any type `length` is in items of the
+    /// actual type, and the memory is their bytes.
     ///
     /// # Errors
     /// Shared memory is exhausted.
-    pub fn image(&mut self, length: usize) -> Result<&mut [T], StageError> {
-        self.image = true;
+    pub fn loan(&mut self, length: usize) -> Result<&mut [T], StageError> {
+        self.is_loaned = true;
         let bytes = self.memory.loan(length)?;
         try_cast_slice_mut(bytes).map_err(|error| format!("the output has no place for {}: {error}", T::NAME).into())
     }
@@ -297,7 +299,8 @@ impl<'a, T: Item> Output<'a, T> {
         }
     }
 
-    pub(crate) fn is_image(&self) -> bool {
-        self.image
+    /// Whether the items were written in place, by [`Output::loan`].
+    pub(crate) fn is_loaned(&self) -> bool {
+        self.is_loaned
     }
 }

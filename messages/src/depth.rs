@@ -71,7 +71,7 @@ mod tests {
     use crate::Camera;
 
     #[test]
-    fn length_has_to_match_the_header() {
+    fn the_number_of_pixels_has_to_match_the_header() {
         let camera = Camera { width: 4, height: 3, ..Camera::default() };
         let header = Header { camera, ..Header::default() };
         assert!(u16::check(&header, &[0; 12]).is_ok());
@@ -87,11 +87,11 @@ mod tests {
     fn pixels_that_hold_no_measurement_are_neither_counted_nor_part_of_the_median() {
         let camera = Camera { width: 3, height: 2, ..Camera::default() };
         let header = Header { camera, depth_scale: 0.001, ..Header::default() };
-        let told =
+        let values =
             |items: &[u16]| serde_json::to_string(&u16::message_to_json(&Message { header: &header, items })).unwrap();
         let expected = r#"{"width":3,"height":2,"measured":3,"median_m":1.5}"#;
-        assert_eq!(told(&[INVALID_NEAR, 1000, 1500, INVALID_FAR, 2500, INVALID_NEAR]), expected);
+        assert_eq!(values(&[INVALID_NEAR, 1000, 1500, INVALID_FAR, 2500, INVALID_NEAR]), expected);
         let blank = r#"{"width":3,"height":2,"measured":0,"median_m":null}"#;
-        assert_eq!(told(&[INVALID_NEAR, INVALID_FAR, 0, 0, 0, 0]), blank);
+        assert_eq!(values(&[INVALID_NEAR, INVALID_FAR, 0, 0, 0, 0]), blank);
     }
 }

@@ -163,7 +163,7 @@ mod tests {
     use crate::Camera;
 
     #[test]
-    fn what_no_extractor_finds_is_refused() {
+    fn an_ellipse_that_no_extractor_could_find_is_refused() {
         let header = Header { camera: Camera { width: 8, height: 6, ..Camera::default() }, ..Header::default() };
         let mut good = Ellipse { line: 5, first: 2, last: 7, unbiased: 1, sigma: 0.001, ..Ellipse::default() };
         good.moments[0] = 6.0;
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_that_nothing_tells_of_is_not_shared() {
+    fn without_correlation_or_points_no_noise_is_shared() {
         assert_eq!(Ellipse::default().points_per_sample(), 1.0);
         let shared = |points| Ellipse { correlation_px: 2.5, points, ..Ellipse::default() }.points_per_sample();
         assert_eq!((shared(1), shared(0)), (1.0, 1.0), "there is none to share it with");
@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn no_step_is_each_line() {
+    fn a_step_of_zero_means_each_line() {
         assert_eq!(Ellipse::default().step(), 1);
         assert_eq!(Ellipse { line_step: 4, ..Ellipse::default() }.step(), 4);
     }

@@ -117,7 +117,7 @@ mod tests {
     struct Outer<E: Error>(#[source] E);
 
     #[test]
-    fn a_full_disk_lasts_and_a_file_that_is_gone_may_come_back() {
+    fn a_full_disk_is_a_lasting_fault_and_a_missing_file_is_not() {
         let full = || io::Error::from(ErrorKind::StorageFull);
         assert!(lasts(&full()) && lasts(&Outer(full())) && lasts(&Outer(Hinted::of_writing("a", &full()))));
         assert!(lasts(&Outer(Hinted::lasting("a", "b"))));

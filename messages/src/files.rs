@@ -93,7 +93,7 @@ mod tests {
     use std::io::Write as _;
 
     #[test]
-    fn a_late_file_is_emptied_when_something_is_to_be_written_and_only_then() {
+    fn a_late_file_is_emptied_only_when_something_is_written() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("new/file");
         for (before, is_new) in [(None, true), (Some(""), false), (Some("earlier"), false)] {

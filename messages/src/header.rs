@@ -279,7 +279,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn kinect_noise_is_that_of_the_papers() {
+    fn the_noise_of_the_kinect_is_that_of_the_papers() {
         let model = NoiseModel::KINECT_V1;
         let step = 4.0 / (8.0 * 580.0 * 0.075);
         let expected = ((0.0012 + 0.0019 * 1.6_f64.powi(2)).powi(2) + step * step / 12.0).sqrt();
@@ -317,9 +317,9 @@ mod tests {
             assert!(spoilt.check("depth").is_err());
         }
         header.camera.height = MAX_SIDE_PX + 1;
-        let told =
+        let expected =
             "malformed depth: an image of 2x16385 pixels, allowed are 1 to 16384 along a side and 67108864 in all";
-        assert_eq!(header.check("depth").map_err(|error| error.to_string()), Err(told.to_owned()));
+        assert_eq!(header.check("depth").map_err(|error| error.to_string()), Err(expected.to_owned()));
     }
 
     #[test]
@@ -338,14 +338,14 @@ mod tests {
         let scaled = turned.map(|row| row.map(|number| 1.01 * number));
         let sheared = [[1.0, 0.0, 0.0], [0.01, 1.0, 0.0], [0.0, 0.0, 1.0]];
         for rows in [[[0.0; 3]; 3], mirrored, scaled, sheared] {
-            let told = check(HAS_POSE, rows).unwrap_err().to_string();
-            assert_eq!(told, "malformed depth: a camera pose that is no rotation", "{rows:?}");
+            let error = check(HAS_POSE, rows).unwrap_err().to_string();
+            assert_eq!(error, "malformed depth: a camera pose that is no rotation", "{rows:?}");
         }
         assert_eq!(check(0, [[0.0; 3]; 3]), Ok(()));
     }
 
     #[test]
-    fn of_the_ways_to_swap_and_turn_round_axes_those_without_a_mirror_are_rotations() {
+    fn swaps_and_reversals_of_axes_are_rotations_unless_they_mirror() {
         for (order, even) in [[0, 1, 2], [1, 2, 0], [2, 0, 1]].map(|order| (order, true)).into_iter().chain([
             ([0, 2, 1], false),
             ([2, 1, 0], false),

@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn an_ellipse_leaves_its_moments_at_home() {
+    fn an_ellipse_is_written_without_its_moments() {
         let ellipse = Ellipse { scan: 1, line: 4, first: 5, last: 9, points: 5, arc: 1.5, ..Ellipse::default() };
         let expected = format!(
             "{HEAD}\"ellipses\":[{}{}]}}",

@@ -303,7 +303,7 @@ mod tests {
     }
 
     #[test]
-    fn where_c_would_leave_a_hole_a_layout_is_refused() {
+    fn a_layout_with_padding_is_refused() {
         let before = layout(&[("id", "u32"), ("width", "f64")]).unwrap_err();
         assert_eq!(before.field, 1);
         assert_eq!(before.what, "`width` would begin at byte 4, C would leave 4 bytes of padding before it");
@@ -314,7 +314,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_type_or_name_or_too_long_is_refused() {
+    fn unknown_types_invalid_names_and_long_layouts_are_refused() {
         let types = [
             "",
             "f16",
@@ -340,8 +340,8 @@ mod tests {
             assert_eq!(layout(&[("field", text)]).unwrap_err().what, "an item of more than 65536 bytes", "{text}");
         }
         for name in ["", "Width", "2nd", "a-b", "a b", &"a".repeat(64)] {
-            let told = layout(&[(name, "f64")]).unwrap_err().what;
-            assert_eq!(told, format!("`{name}` cannot be the name of a field"));
+            let fault = layout(&[(name, "f64")]).unwrap_err().what;
+            assert_eq!(fault, format!("`{name}` cannot be the name of a field"));
         }
         assert!(layout(&[(&"a".repeat(63), "f64")]).is_ok());
         assert_eq!(layout(&[("a", "f64"), ("a", "f64")]).unwrap_err().what, "there are two fields `a`");
@@ -361,7 +361,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_that_are_not_finite_and_bytes_that_are_no_text_are_refused() {
+    fn infinite_numbers_and_bytes_that_are_no_text_are_refused() {
         let layout = layout(&GRASP).unwrap();
         let check = |spoil: fn(&mut Grasp)| {
             let mut items = [grasp(); 3];
@@ -370,10 +370,10 @@ mod tests {
             checked.map_err(|error| error.to_string())
         };
         assert_eq!(check(|_| {}), Ok(()));
-        let told = |fault: &str| Err(format!("malformed grasps: item 1 has a `{fault}"));
-        assert_eq!(check(|item| item.position[2] = f64::NAN), told("position` that is not finite"));
-        assert_eq!(check(|item| item.width = f32::INFINITY), told("width` that is not finite"));
-        assert_eq!(check(|item| item.label = bytemuck::cast([0xff_u8; 6])), told("label` that is no text"));
+        let refused = |fault: &str| Err(format!("malformed grasps: item 1 has a `{fault}"));
+        assert_eq!(check(|item| item.position[2] = f64::NAN), refused("position` that is not finite"));
+        assert_eq!(check(|item| item.width = f32::INFINITY), refused("width` that is not finite"));
+        assert_eq!(check(|item| item.label = bytemuck::cast([0xff_u8; 6])), refused("label` that is no text"));
         let cut = layout.check("grasps", &bytes_of(&grasp())[1..]);
         assert_eq!(cut.unwrap_err().to_string(), "malformed grasps: 47 bytes, an item has 48");
     }

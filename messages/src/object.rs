@@ -150,7 +150,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn codes_and_shapes_match() {
+    fn the_codes_of_shapes_are_decoded_to_the_same_shapes() {
         for shape in ObjectKind::ALL {
             assert_eq!(ObjectKind::from_code(shape.code()), Some(shape));
             let object = Object { kind: shape.code(), ..Object::default() };
@@ -168,13 +168,13 @@ mod tests {
         let error = Object::check(&Header::default(), &[good, unknown]).unwrap_err();
         assert_eq!(error.to_string(), "malformed objects: item 1 is of no known shape");
         assert!(Object::check(&Header::default(), &[nan]).is_err());
-        for (negative, told) in [
+        for (negative, fault) in [
             (Object { radius: -0.1, ..good }, "has a negative size"),
             (Object { length: -0.1, ..good }, "has a negative size"),
             (Object { confidence: -0.1, ..good }, "has a confidence that is no probability"),
             (Object { confidence: 1.1, ..good }, "has a confidence that is no probability"),
         ] {
-            assert_eq!(negative.fault(), Some(told));
+            assert_eq!(negative.fault(), Some(fault));
         }
     }
 
@@ -193,12 +193,12 @@ mod tests {
             Object { axis: [0.0, 0.0, 1.0], ..sphere },
         ];
         for bad in axes {
-            let told = "malformed objects: item 0 has an axis that is no unit vector, or a sphere has one";
-            assert_eq!(check(bad), Err(told.into()));
+            let expected = "malformed objects: item 0 has an axis that is no unit vector, or a sphere has one";
+            assert_eq!(check(bad), Err(expected.into()));
         }
         for half_angle in [-0.1, FRAC_PI_2, 3.0] {
-            let told = "malformed objects: item 0 has a half-angle outside of 0 to 90 degrees";
-            assert_eq!(check(Object { half_angle, ..cone }), Err(told.into()));
+            let expected = "malformed objects: item 0 has a half-angle outside of 0 to 90 degrees";
+            assert_eq!(check(Object { half_angle, ..cone }), Err(expected.into()));
         }
     }
 }

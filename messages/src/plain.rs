@@ -49,7 +49,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn nothing_steers_a_terminal_or_passes_for_a_line_of_its_own() {
+    fn plain_text_neither_controls_a_terminal_nor_adds_a_line() {
         assert_eq!(plain("a\u{1b}[2Jb\r\u{9b}c\u{7f}"), "a\\u{1b}[2Jb\\r\\u{9b}c\\u{7f}");
         assert_eq!(plain("`a\nERROR forged`: b\n  hint: c"), "`a\\nERROR forged`: b\n  hint: c");
         assert_eq!(plain("`gnp.\u{202e}a`"), "`gnp.\\u{202e}a`");
@@ -57,7 +57,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_line_is_shown_by_its_ends_and_what_follows_is_whole() {
+    fn a_long_line_is_shortened_in_its_middle_and_later_lines_are_whole() {
         let shown = plain(&format!("file `{}` is wrong\n  hint: mend it", "ö".repeat(20_000_000)));
         let (line, hint) = shown.split_once('\n').unwrap();
         assert!(line.chars().count() < LONGEST_LINE + 50, "{}", line.len());

@@ -34,7 +34,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn depths_are_rounded_and_what_is_none_is_zero() {
+    fn depths_are_rounded_and_missing_ones_are_zero() {
         let units = |z: f32| quantise(z, 1e4);
         assert_eq!([1.0, 0.00004, 6.6, f32::NAN, f32::INFINITY, -1.0].map(units), [10_000, 0, 0, 0, 0, 0]);
         assert_eq!(units(1.000_06), 10_001);
@@ -42,14 +42,14 @@ mod tests {
     }
 
     #[test]
-    fn the_last_unit_of_all_says_that_nothing_is_so_near() {
+    fn depths_beyond_the_last_unit_hold_no_measurement_and_are_too_far() {
         let most = f32::from(INVALID_FAR - 1);
         assert_eq!([most, most + 0.5].map(|z| quantise(z, 1.0)), [INVALID_FAR - 1, INVALID_NEAR]);
         assert_eq!([most, most + 0.5].map(|z| is_too_far(z, 1.0)), [false, true]);
     }
 
     #[test]
-    fn the_scale_is_the_finest_that_reaches() {
+    fn the_scale_is_the_finest_that_holds_the_farthest_depth() {
         assert_eq!(finest_scale(&[0.5, 6.5, f32::NAN], 1.0), 0.0001);
         assert_eq!(finest_scale(&[6.6], 1.0), 0.000_25);
         assert_eq!(finest_scale(&[6600.0], 0.001), 0.000_25, "of depths in millimetres");

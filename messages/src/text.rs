@@ -71,7 +71,7 @@ mod tests {
     }
 
     #[test]
-    fn bytes_that_are_no_text_are_told() {
+    fn bytes_that_are_no_text_are_shown_as_such() {
         let text: Text<2> = bytemuck::cast([0xff_u8, 0xfe]);
         assert_eq!(text.as_str(), None);
         assert_eq!([format!("{text}"), format!("{text:?}")], ["(not text)", "\"(not text)\""]);

@@ -88,13 +88,13 @@ mod tests {
             (Track { velocity_covariance: covariance, ..good }, Some("has a velocity that is not finite")),
             (Track { object: negative, ..good }, Some("has a negative size")),
         ] {
-            let told = fault.map_or(Ok(()), |fault| Err(format!("malformed tracks: item 0 {fault}")));
-            assert_eq!(Track::check(&Header::default(), &[track]).map_err(|error| error.to_string()), told);
+            let expected = fault.map_or(Ok(()), |fault| Err(format!("malformed tracks: item 0 {fault}")));
+            assert_eq!(Track::check(&Header::default(), &[track]).map_err(|error| error.to_string()), expected);
         }
     }
 
     #[test]
-    fn a_track_that_nobody_is_sure_of_yet_has_no_label() {
+    fn a_tentative_track_has_no_label() {
         let label = |state: TrackState| Track { state: state.code(), ..Track::default() }.label();
         let all = TrackState::ALL;
         assert_eq!(all.map(label), [None, Some("sphere"), Some("sphere")]);

@@ -160,7 +160,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_of_each_kind_are_told_as_they_are_and_what_is_absent_is_left_out() {
+    fn numbers_of_each_kind_are_written_exactly_and_absent_values_are_left_out() {
         let value =
             |element: Element, bytes: &[u8]| Value::Numbers { element, is_list: false, bytes: bytes.to_vec().into() };
         let fields = Fields(vec![
@@ -177,9 +177,9 @@ mod tests {
             ("no f32", f32::NAN.into()),
             ("no f64", ABSENT.into()),
         ]);
-        let told = r#"{"u8":200,"u16":60000,"u32":4000000000,"u64":18446744073709551615,"i8":-100,"i16":-30000,"#
+        let expected = r#"{"u8":200,"u16":60000,"u32":4000000000,"u64":18446744073709551615,"i8":-100,"i16":-30000,"#
             .to_owned()
             + r#""i32":-2000000000,"i64":-9223372036854775808,"f32":0.5,"f64":[0.25,4.0]}"#;
-        assert_eq!(serde_json::to_string(&fields).unwrap(), told);
+        assert_eq!(serde_json::to_string(&fields).unwrap(), expected);
     }
 }

@@ -65,7 +65,7 @@ mod tests {
     use crate::ToJson;
 
     #[test]
-    fn codes_and_frames_match() {
+    fn the_codes_of_frames_are_decoded_to_the_same_frames() {
         for frame in Frame::ALL {
             assert_eq!(Frame::from_code(frame.code()), Some(frame));
         }
@@ -73,13 +73,13 @@ mod tests {
     }
 
     #[test]
-    fn a_velocity_in_no_frame_or_without_end_is_refused() {
+    fn a_velocity_in_an_unknown_frame_or_an_infinite_one_is_refused() {
         let good = Velocity { linear: [0.0, 0.0, 0.8], ..Velocity::default() };
         let check =
             |velocity| Velocity::check(&Header::default(), &[good, velocity]).map_err(|error| error.to_string());
         assert_eq!(check(Velocity { frame: Frame::World.code(), ..good }), Ok(()));
-        let told = check(Velocity { frame: 7, ..good });
-        assert_eq!(told, Err("malformed velocities: item 1 is in no known frame".into()));
+        let result = check(Velocity { frame: 7, ..good });
+        assert_eq!(result, Err("malformed velocities: item 1 is in no known frame".into()));
         for spoilt in
             [Velocity { linear: [0.0, f64::NAN, 0.0], ..good }, Velocity { angular: [f64::INFINITY, 0.0, 0.0], ..good }]
         {

@@ -1,6 +1,6 @@
 //! `conicflow detect`: finds the objects of recorded frames, in one command without a pipeline file.
 
-use super::invocation::say;
+use super::invocation::write_to_stderr;
 use crate::recording::files::looks_like_recording;
 use crate::sinks::json_lines::{JsonLines, Wrote};
 use crate::sinks::picture_sink::{self, Names, PictureSink};
@@ -134,7 +134,7 @@ pub fn detect(arguments: &DetectArguments) -> Result<()> {
         totals.add(&objects, detector);
     }
     pictures.as_mut().map_or(Ok(()), PictureSink::end).context("pictures")?;
-    say(totals.text(&frames.take_counts()));
+    write_to_stderr(totals.text(&frames.take_counts()));
     frames.finish()
 }
 
@@ -161,10 +161,10 @@ fn refuse_unfit(arguments: &DetectArguments) -> Result<()> {
 
 /// Refuses outputs that are also inputs or written twice, before anything is created or opened.
 fn refuse_to_overwrite(arguments: &DetectArguments) -> Result<()> {
-    let here = Path::new("");
-    let written: Vec<_> = FileUse::given(here, [("--out", &arguments.file())])
+    let base = Path::new("");
+    let written: Vec<_> = FileUse::given(base, [("--out", &arguments.file())])
         .into_iter()
-        .chain(picture_config(arguments).writes(here, "--pictures", "--moving"))
+        .chain(picture_config(arguments).writes(base, "--pictures", "--moving"))
         .collect();
     let read = if written.is_empty() { Vec::new() } else { files_read(arguments) };
     let in_words = |files: &FileUse| format!("`{}`", files.key);
@@ -180,10 +180,10 @@ fn refuse_to_overwrite(arguments: &DetectArguments) -> Result<()> {
 
 /// Returns the files that are read.
 fn files_read(arguments: &DetectArguments) -> Vec<FileUse> {
-    let here = Path::new("");
+    let base = Path::new("");
     match FramesConfig::of(arguments) {
-        FramesConfig::Recording(config) => config.reads(here, "PATH"),
-        FramesConfig::Images(config) => reading::files(&config, here, "PATH", "--poses"),
+        FramesConfig::Recording(config) => config.reads(base, "PATH"),
+        FramesConfig::Images(config) => reading::files(&config, base, "PATH", "--poses"),
     }
 }
 
@@ -245,11 +245,11 @@ enum Frames {
 
 impl Frames {
     fn open(arguments: &DetectArguments) -> Result<Self> {
-        let here = Path::new("");
+        let base = Path::new("");
         Ok(match FramesConfig::of(arguments) {
-            FramesConfig::Images(config) => Self::Images(Box::new(Playback::open(&config, here, 0, 0)?)),
+            FramesConfig::Images(config) => Self::Images(Box::new(Playback::open(&config, base, 0, 0)?)),
             FramesConfig::Recording(config) => {
-                Self::Recording(Box::new(Replay::open(&config, here, &ItemType::of::<u16>())?))
+                Self::Recording(Box::new(Replay::open(&config, base, &ItemType::of::<u16>())?))
             }
         })
     }

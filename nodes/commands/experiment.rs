@@ -193,14 +193,14 @@ mod tests {
 
     #[test]
     fn a_column_that_is_not_known_is_refused_with_those_that_are() {
-        for (name, replaced, told) in [
+        for (name, replaced, expected) in [
             ("accuracy.toml", ("\"radius_sd_m\"]", "\"radius_std_m\"]"), "columns`: there is no column `radius_std_m`"),
             ("accuracy.toml", ("x = \"distance\"", "x = \"distanse\""), "plot.x`: there is no column `distanse`"),
             ("follow.toml", ("x = \"time_s\"", "x = \"n\""), "plot.x`: there is no column `n`"),
             ("cost.toml", ("[\"extractor_ms\", \"assembler_ms\"]", "[\"extract_ms\"]"), "no column `extract_ms`"),
         ] {
             let error = checked(name, replaced).unwrap_err().to_string();
-            assert!(error.contains(told) && error.contains("\n  hint: columns: `"), "{error}");
+            assert!(error.contains(expected) && error.contains("\n  hint: columns: `"), "{error}");
         }
         let section =
             "\"section_sink\"\ninput  = { topic = \"ellipses\", delivery = \"lossless\" }\ncenter = [0.0, 2.0]";

@@ -36,7 +36,7 @@ impl FileArguments {
     pub fn read_on(&self, machine: Option<&str>) -> anyhow::Result<Pipeline> {
         let (pipeline, warnings) = self.read_with(machine, &[])?;
         if !warnings.0.is_empty() {
-            say(format_args!("{warnings}\n"));
+            write_to_stderr(format_args!("{warnings}\n"));
         }
         Ok(pipeline)
     }
@@ -109,6 +109,6 @@ pub fn options(log: &str) -> anyhow::Result<RunOptions> {
 }
 
 /// Writes a line to standard error; a closed standard error is ignored.
-pub fn say(text: impl Display) {
+pub fn write_to_stderr(text: impl Display) {
     writeln!(stderr(), "{text}").ok();
 }

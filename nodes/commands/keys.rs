@@ -211,7 +211,7 @@ fn requests(mut keys: &[u8]) -> impl Iterator<Item = PauseRequest> {
 
 fn obey(pipeline: &str, request: PauseRequest) {
     let paused = RunningPipeline::find(Some(pipeline), "its name").and_then(|running| running.pause(request));
-    let told = match paused {
+    let notice = match paused {
         Ok(sources) if sources.paused && !sources.live.is_empty() => {
             let live = sources.live.join("`, `");
             Some(format!("`{live}` cannot be paused, and goes on"))
@@ -220,8 +220,8 @@ fn obey(pipeline: &str, request: PauseRequest) {
         Err(error) => Some(error.to_string()),
     };
     // Overwrites the line with the progress.
-    told.into_iter().for_each(|told| {
-        writeln!(stderr(), "\r\x1b[K{told}").ok();
+    notice.into_iter().for_each(|notice| {
+        writeln!(stderr(), "\r\x1b[K{notice}").ok();
     });
 }
 
@@ -231,10 +231,10 @@ mod tests {
     use PauseRequest::{Step, Toggle};
 
     #[test]
-    fn keys_stand_for_requests_and_others_for_nothing() {
-        let asked = |keys: &[u8]| requests(keys).collect::<Vec<_>>();
-        assert_eq!(asked(b" "), [Toggle]);
-        assert_eq!(asked(b". \x1b[C\x1bOC"), [Step, Toggle, Step, Step]);
-        assert_eq!(asked(b"\x1b[D\x1b[A\x1b[1;5Cq\r\x03\xff"), [] as [PauseRequest; 0]);
+    fn known_keys_are_requests_and_other_keys_are_ignored() {
+        let requested = |keys: &[u8]| requests(keys).collect::<Vec<_>>();
+        assert_eq!(requested(b" "), [Toggle]);
+        assert_eq!(requested(b". \x1b[C\x1bOC"), [Step, Toggle, Step, Step]);
+        assert_eq!(requested(b"\x1b[D\x1b[A\x1b[1;5Cq\r\x03\xff"), [] as [PauseRequest; 0]);
     }
 }

@@ -68,7 +68,7 @@ struct Metrics {
 impl Answer for Metrics {
     fn answer(&self, request: &Request) -> Response {
         match (request.method.as_str(), request.path.as_str()) {
-            ("GET", PATH) => self.told(),
+            ("GET", PATH) => self.text_response(),
             ("GET", _) => Response::refusal(404, "there is nothing here; the metrics are at /metrics"),
             _ => Response::refusal(405, "this is not done here"),
         }
@@ -76,7 +76,7 @@ impl Answer for Metrics {
 }
 
 impl Metrics {
-    fn told(&self) -> Response {
+    fn text_response(&self) -> Response {
         let mut last = lock(&self.last);
         if let Some((_, text)) = last.as_ref().filter(|(since, _)| since.elapsed() < FRESH) {
             return Response::new(200, KIND, text.clone().into_bytes());
@@ -173,8 +173,8 @@ impl Families<'_> {
         )?;
         let silent = living.clone().map(|(stage, usage)| (of_stage(stage), usage.silent.as_secs_f64()));
         self.gauge("silent", "Time since the stage's last sign of life", Some(Unit::Seconds), silent)?;
-        let waits = |stage: &StageRecord| f64::from(!stage.status.waits_for.to_string().is_empty());
-        let waiting = living.map(|(stage, _)| (of_stage(stage), waits(stage)));
+        let is_waiting = |stage: &StageRecord| f64::from(!stage.status.waits_for.to_string().is_empty());
+        let waiting = living.map(|(stage, _)| (of_stage(stage), is_waiting(stage)));
         self.gauge("waiting", "Whether the stage waits for another to take its messages", None, waiting)
     }
 
@@ -356,14 +356,14 @@ mod tests {
     }
 
     #[test]
-    fn what_programs_of_ones_own_call_their_counts_is_escaped() {
+    fn names_of_counts_of_other_programs_are_escaped() {
         let expected = "# HELP conicflow_events What is odd\n# TYPE conicflow_events counter\n\
                         conicflow_events_total{pipeline=\"odd\",event=\"a \\\"b\\\\c\\nd\"} 3\n# EOF\n";
         assert_eq!(text("odd", Odd), expected);
     }
 
     #[test]
-    fn every_time_is_in_one_bucket() {
+    fn each_duration_is_in_exactly_one_bucket() {
         let mut times = Durations::default();
         [1, 70, 1000, 1000, 8_000_000, 100_000_000].into_iter().for_each(|us: u64| times.add(us * 1000));
         let buckets = buckets(&times);

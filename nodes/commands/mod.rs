@@ -29,7 +29,7 @@ use conicflow_lab::experiment::{Experiment, Results, Variation};
 use conicflow_messages::{Hinted, lasts};
 use doctor::doctor;
 use experiment::Rows;
-use invocation::{FileArguments, check_machine, options, say};
+use invocation::{FileArguments, check_machine, options, write_to_stderr};
 use keys::Keys;
 use signal_hook::consts::SIGXFSZ;
 use std::collections::BTreeSet;
@@ -197,7 +197,7 @@ pub fn main() -> ExitCode {
         // A reader of the output that goes away (`| head`) has seen enough.
         Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
-            say(describe(&error));
+            write_to_stderr(describe(&error));
             exit_code(&error).into()
         }
     }
@@ -275,7 +275,7 @@ fn validate(source: &FileArguments, machine: Option<&str>) -> anyhow::Result<()>
 
 fn run(arguments: &RunArguments, log: &str) -> anyhow::Result<ExitCode> {
     let pipeline = arguments.source.read_on(arguments.machine.as_deref())?;
-    look_beside(&Plan::of(&pipeline, arguments.machine.as_deref(), None, NO_RUN))?;
+    refuse_name_or_files_in_use(&Plan::of(&pipeline, arguments.machine.as_deref(), None, NO_RUN))?;
     let _metrics = metrics::offer(&pipeline, arguments.machine.as_deref())?;
     if let Some(json) = &pipeline.experiment {
         return run_experiment(&pipeline, &Experiment::read(json)?, arguments, log);
@@ -286,13 +286,13 @@ fn run(arguments: &RunArguments, log: &str) -> anyhow::Result<ExitCode> {
     if !arguments.quiet {
         let in_detail = tracing::enabled!(tracing::Level::DEBUG);
         let text = if in_detail { summary.in_detail().to_string() } else { summary.to_string() };
-        say(format_args!("\n{}", text.trim_end()));
+        write_to_stderr(format_args!("\n{}", text.trim_end()));
     }
     Ok(if summary.is_complete() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
 /// Checks that no other running pipeline has the name of this one, or writes its files.
-fn look_beside(plan: &Plan) -> anyhow::Result<()> {
+fn refuse_name_or_files_in_use(plan: &Plan) -> anyhow::Result<()> {
     // A folder that cannot be read is reported when the run begins.
     for other in RunningPipeline::all().unwrap_or_default() {
         if other.plan.pipeline == plan.pipeline {
@@ -337,12 +337,17 @@ fn run_experiment(
     for (index, variation) in variations.iter().enumerate() {
         let overrides: Vec<String> = variation.overrides.iter().cloned().chain(rows.overrides()).collect();
         if !arguments.quiet {
-            say(format_args!("run {} of {}: {}", index + 1, variations.len(), variation.overrides.join(" ")));
+            write_to_stderr(format_args!(
+                "run {} of {}: {}",
+                index + 1,
+                variations.len(),
+                variation.overrides.join(" ")
+            ));
         }
         let (pipeline, _) = arguments.source.read_with(arguments.machine.as_deref(), &overrides)?;
         let summary = run_once(&pipeline, arguments, true, log)?;
         if let Some(what) = disturbance(&summary, interrupted.load(Ordering::Relaxed)) {
-            say(format_args!("the run with `{}` {what}:\n{summary}", variation.overrides.join(" ")));
+            write_to_stderr(format_args!("the run with `{}` {what}:\n{summary}", variation.overrides.join(" ")));
             break;
         }
         results.add(rows.read(variation, &summary)?);
@@ -350,7 +355,7 @@ fn run_experiment(
     }
     let is_complete = finished == variations.len();
     if !is_complete && finished > 0 {
-        say(format_args!("the tables and files have the first {finished} of {} runs", variations.len()));
+        write_to_stderr(format_args!("the tables and files have the first {finished} of {} runs", variations.len()));
     }
     if is_complete || finished > 0 {
         let printed = write!(stdout(), "{}{}", experiment::tables(experiment, &results), results.exponents());
@@ -405,7 +410,7 @@ mod tests {
     use anyhow::anyhow;
 
     #[test]
-    fn a_level_is_a_word_that_there_is() {
+    fn an_unknown_log_level_is_refused() {
         for good in ["debug", "WARN", "off", "conicflow_dataflow=debug", "info,zenoh=debug", "warn,[step]=trace"] {
             assert_eq!(log_filter(good).as_deref(), Ok(good));
         }
@@ -416,12 +421,12 @@ mod tests {
     }
 
     #[test]
-    fn what_the_system_refuses_is_no_wrong_input() {
+    fn errors_of_the_system_have_another_exit_code_than_wrong_input() {
         let full = || anyhow::Error::from(io::Error::from(ErrorKind::StorageFull));
         assert_eq!(exit_code(&full().context("cannot write `results/table.csv`")), FAILED);
-        let told = || Hinted::of_writing("cannot write to `out.jsonl`", &ErrorKind::StorageFull.into());
-        assert_eq!(exit_code(&told().into()), FAILED, "also where it is told in other words");
-        assert_eq!(exit_code(&anyhow::Error::from(told()).context("pictures")), FAILED);
+        let hinted = || Hinted::of_writing("cannot write to `out.jsonl`", &ErrorKind::StorageFull.into());
+        assert_eq!(exit_code(&hinted().into()), FAILED, "also with a text of its own");
+        assert_eq!(exit_code(&anyhow::Error::from(hinted()).context("pictures")), FAILED);
         assert_eq!(exit_code(&anyhow!("there is no machine `moon`")), WRONG_INPUT);
         let missing = || ProcessError::System { doing: "starting".to_owned(), error: ErrorKind::NotFound.into() };
         assert_eq!(exit_code(&missing().into()), FAILED);

@@ -1,6 +1,6 @@
 //! `conicflow record`: records topics of a running pipeline, as an onlooker for which no stage waits.
 
-use super::invocation::say;
+use super::invocation::write_to_stderr;
 use super::topic::PipelineName;
 use crate::NODES;
 use crate::recording::files::is_recording;
@@ -92,7 +92,7 @@ pub fn record(arguments: &RecordArguments) -> Result<()> {
     // Messages before an error are kept.
     let bytes = recorder.finish();
     watched.context("recording")?;
-    say(tally.text(bytes?));
+    write_to_stderr(tally.text(bytes?));
     Ok(())
 }
 
@@ -130,7 +130,7 @@ mod tests {
     use conicflow_messages::Hop;
 
     #[test]
-    fn what_was_missed_shows_in_the_numbers_of_each_writer() {
+    fn missed_messages_are_counted_by_the_numbers_of_each_writer() {
         let mut tally = Tally::default();
         for (writer, number) in [("left", 4), ("right", 0), ("left", 5), ("left", 8), ("right", 1)] {
             let mut header = Header { number, ..Header::default() };

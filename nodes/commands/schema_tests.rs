@@ -30,7 +30,7 @@ fn read(text: &str) -> Json {
 }
 
 #[test]
-fn every_pipeline_file_here_fits_the_schema() {
+fn every_pipeline_file_of_the_repository_fits_the_schema() {
     let (validator, files) = (validator(), files());
     assert!(files.len() > 20, "{} files", files.len());
     for file in files {
@@ -41,7 +41,7 @@ fn every_pipeline_file_here_fits_the_schema() {
 }
 
 #[test]
-fn the_schema_in_the_documents_is_that_of_the_command() {
+fn the_schema_in_docs_is_the_one_that_the_command_prints() {
     let (path, schema) = (root().join("docs/pipeline.schema.json"), format!("{:#}\n", file_schema(NODES)));
     if std::env::var_os("UPDATE_EXPECT").is_some() {
         std::fs::write(path, schema).unwrap();
@@ -52,7 +52,7 @@ fn the_schema_in_the_documents_is_that_of_the_command() {
 }
 
 #[test]
-fn every_pipeline_file_here_leads_editors_to_the_schema() {
+fn every_pipeline_file_of_the_repository_names_the_schema_for_editors() {
     let schema = root().join("docs/pipeline.schema.json").canonicalize().unwrap();
     for file in files() {
         let text = std::fs::read_to_string(&file).unwrap();
@@ -91,9 +91,9 @@ fn faults_do_not_fit_the_schema() {
 
 /// Editors show the fault at its place, with its name.
 #[test]
-fn faults_are_told_by_name() {
+fn faults_are_reported_with_their_key() {
     let unexpected = |key: &str| format!("Additional properties are not allowed ('{key}' was unexpected)");
-    for (place, value, within, told) in [
+    for (place, value, within, expected) in [
         ("source/rate", json!(15.0), "source", unexpected("rate")),
         ("source/width", json!("wide"), "source/width", "\"wide\" is not of type \"integer\"".into()),
         (
@@ -111,13 +111,13 @@ fn faults_are_told_by_name() {
         ),
         ("other/output", json!("depth"), "other", "\"node\" is a required property".into()),
     ] {
-        expect_fault(place, value, within, &told);
+        expect_fault(place, value, within, &expected);
     }
 }
 
 /// The file has a choice between a word and a table here.
 #[test]
-fn faults_within_a_choice_are_told_by_name() {
+fn faults_within_a_choice_are_reported_with_their_key() {
     for (key, value) in [
         ("noise", json!("ideal")),
         ("noise", json!({ "floor_m": 0.001 })),
@@ -125,10 +125,10 @@ fn faults_within_a_choice_are_told_by_name() {
         ("sensor", json!({ "stereo": { "baseline_m": 0.05 } })),
         ("restart", json!({ "when": "never", "hang_s": 5, "join_s": 5 })),
     ] {
-        let told = faults("/stage/source", key, value.clone());
-        assert!(told.is_empty(), "{key} = {value}: {told:#?}");
+        let reported = faults("/stage/source", key, value.clone());
+        assert!(reported.is_empty(), "{key} = {value}: {reported:#?}");
     }
-    for (key, value, within, told) in [
+    for (key, value, within, expected) in [
         ("noise", json!("kinect"), "noise", "\"kinect\" is not one of \"kinect_v1\", "),
         ("noise", json!(3), "noise", "3 is not of types \"string\", \"object\""),
         ("noise", json!({ "floor": 0.001 }), "noise", "Additional properties are not allowed ('floor' was unexpected)"),
@@ -153,18 +153,18 @@ fn faults_within_a_choice_are_told_by_name() {
         ("restart", json!({ "hang": 5 }), "restart", "Additional properties are not allowed ('hang' was unexpected)"),
         ("restart", json!({ "hang_s": 0 }), "restart/hang_s", "0 is less than the minimum of 1"),
     ] {
-        expect_fault(&format!("source/{key}"), value, &format!("source/{within}"), told);
+        expect_fault(&format!("source/{key}"), value, &format!("source/{within}"), expected);
     }
 }
 
 /// Expects one fault, at its place, for a stage whose key has this value.
-fn expect_fault(place: &str, value: Json, within: &str, told: &str) {
+fn expect_fault(place: &str, value: Json, within: &str, expected: &str) {
     let (stage, key) = place.split_once('/').unwrap();
-    let told_all = match stage {
+    let reported = match stage {
         "other" => faults("/stage", stage, json!({ key: value })),
         _ => faults(&format!("/stage/{stage}"), key, value),
     };
-    assert!(told_all.len() == 1 && told_all[0].starts_with(&format!("/stage/{within}: {told}")), "{told_all:#?}");
+    assert!(reported.len() == 1 && reported[0].starts_with(&format!("/stage/{within}: {expected}")), "{reported:#?}");
 }
 
 #[test]

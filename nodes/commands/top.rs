@@ -134,7 +134,7 @@ mod tests {
     use conicflow_dataflow::InputActivity;
 
     #[test]
-    fn an_input_that_has_left_out_messages_which_made_no_sense_has_a_line() {
+    fn an_input_with_malformed_messages_has_a_line() {
         let input = |reader: &str, malformed| InputActivity {
             topic: "objects".to_owned(),
             reader: reader.to_owned(),
@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn a_window_shows_as_many_lines_as_it_has_and_how_many_there_are_more() {
+    fn a_window_shows_the_lines_that_fit_and_the_number_of_the_others() {
         let text = "a\nb\nc\nd\n";
         for rows in [0, 1, 5, 24] {
             assert_eq!(fitting(text, rows), text);

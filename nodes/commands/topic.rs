@@ -113,9 +113,9 @@ fn readers(topic: &Topic) -> String {
 fn activities(running: &RunningPipeline, only: Option<&str>) -> anyhow::Result<Vec<TopicActivity>> {
     let before = observe()?;
     sleep(PERIOD);
-    let seen = observe()?.since(&before);
-    let own = |seen: &PipelineActivity| seen.pipeline == running.plan.pipeline;
-    let written = seen.into_iter().filter(own).flat_map(|seen| seen.topics);
+    let observed = observe()?.since(&before);
+    let own = |observed: &PipelineActivity| observed.pipeline == running.plan.pipeline;
+    let written = observed.into_iter().filter(own).flat_map(|observed| observed.topics);
     Ok(written.filter(|activity| only.is_none_or(|name| activity.topic == name)).collect())
 }
 

@@ -35,7 +35,7 @@ impl Flipped for u16 {
     const SUMMARY: &'static str = "Turns or mirrors depth images, and the camera with them";
 
     fn flip(flip: Flip, camera: &Camera, pixels: &[Self], output: &mut Output<Self>) -> Result<(), StageError> {
-        flip.image(camera, pixels, output.image(pixels.len())?);
+        flip.image(camera, pixels, output.loan(pixels.len())?);
         Ok(())
     }
 }
@@ -80,7 +80,7 @@ mod tests {
     use conicflow_messages::Header;
 
     #[test]
-    fn images_and_objects_go_with_the_camera_that_sees_them_so() {
+    fn images_objects_and_camera_are_flipped_together() {
         let camera = Camera { width: 3, height: 2, fx: 5.0, fy: 6.0, cx: 0.75, cy: 0.5 };
         let header = Header { camera, depth_scale: 0.001, ..Header::default() };
         let config = FlipperConfig { flip: Flip::Clockwise };

@@ -103,8 +103,8 @@ impl Stage for ObjectAssembler {
 }
 
 /// Returns the configured time budget, or the default one of a live stage.
-fn budget_ms(said: Option<f64>, delivery: Option<Delivery>) -> Option<f64> {
-    said.or((delivery == Some(Delivery::Latest)).then_some(LIVE_BUDGET_MS))
+fn budget_ms(given_ms: Option<f64>, delivery: Option<Delivery>) -> Option<f64> {
+    given_ms.or((delivery == Some(Delivery::Latest)).then_some(LIVE_BUDGET_MS))
 }
 
 impl ObjectAssembler {
@@ -128,11 +128,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_stage_has_a_budget_of_its_own_accord_only_where_it_works_live() {
+    fn only_a_live_stage_has_a_budget_by_default() {
         let deliveries = [Some(Delivery::Latest), Some(Delivery::Lossless), None];
         assert_eq!(deliveries.map(|delivery| budget_ms(None, delivery)), [Some(LIVE_BUDGET_MS), None, None]);
-        for said in [0.0, 7.0] {
-            assert_eq!(deliveries.map(|delivery| budget_ms(Some(said), delivery)), [Some(said); 3]);
+        for given_ms in [0.0, 7.0] {
+            assert_eq!(deliveries.map(|delivery| budget_ms(Some(given_ms), delivery)), [Some(given_ms); 3]);
         }
     }
 

@@ -106,7 +106,7 @@ mod tests {
     use conicflow_dataflow::BUILT_IN;
 
     #[test]
-    fn messages_come_back() {
+    fn messages_are_read_as_they_were_written() {
         let header = Header { sequence: 7, depth_scale: 0.25, ..Header::default() };
         let written = write(&header, &[1, 2, 3], vec![9; 5]);
         assert_eq!(read(&written).unwrap(), (header, &[1, 2, 3][..]));
@@ -117,8 +117,8 @@ mod tests {
     fn other_layouts_are_refused() {
         let schema = serde_json::to_string(&Schema::of(&BUILT_IN[1])).unwrap();
         assert!(check_schema(&schema, &BUILT_IN[1]).is_ok());
-        let told = check_schema(&schema, &BUILT_IN[2]).unwrap_err().to_string();
-        assert!(told.starts_with("they are `conicflow.Ellipse.v8` of") && told.contains("\n  hint: "), "{told}");
+        let error = check_schema(&schema, &BUILT_IN[2]).unwrap_err().to_string();
+        assert!(error.starts_with("they are `conicflow.Ellipse.v8` of") && error.contains("\n  hint: "), "{error}");
         assert!(check_schema(&schema[1..], &BUILT_IN[1]).is_err());
     }
 

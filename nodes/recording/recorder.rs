@@ -20,8 +20,7 @@ use super::summary::MAX_RECORD_BYTES;
 use anyhow::{Context as _, Error, Result};
 use conicflow_dataflow::{AnyMessage, FileUse, ItemType, lock};
 use conicflow_messages::{
-    ABSENT, Fields, Header, Hinted, INVALID_FAR, INVALID_NEAR, LateFile, Named, Object, Text, Track, Velocity,
-    is_special,
+    ABSENT, Fields, Header, Hinted, INVALID_FAR, INVALID_NEAR, LateFile, Object, Text, Track, is_special,
 };
 use conicflow_ros::{
     CAMERA_INFO, CameraInfo, Definition, IMAGE as IMAGE_TYPE, MARKER_ARRAY, Marked, Markers, POINT_CLOUD, Stamped,
@@ -130,7 +129,7 @@ struct OpenFile {
     /// Epoch and sequence number of the last frame of each origin whose pose was written.
     placed: BTreeMap<Text<32>, (u64, u64)>,
     /// Since when something waits to be flushed.
-    waits: Option<Instant>,
+    unflushed_since: Option<Instant>,
 }
 
 /// A file that counts the bytes written into it.
@@ -164,15 +163,16 @@ impl Recorder {
     /// # Errors
     /// The file cannot be created or written.
     pub fn create(path: &Path, limits: Limits, run: u64, goes_on: bool) -> Result<Self> {
-        let there = files_at(path, goes_on || limits.has_several_files());
-        let number = there.last().filter(|_| goes_on).map_or(0, |last| last + 1);
-        let there = there.into_iter().map(|number| numbered(path, number));
+        let existing = files_at(path, goes_on || limits.has_several_files());
+        let number = existing.last().filter(|_| goes_on).map_or(0, |last| last + 1);
+        let existing = existing.into_iter().map(|number| numbered(path, number));
         let (complete, earlier) = if goes_on {
-            (there.filter(|file| run_of(file) == Some(run)).map(with_length).collect(), Vec::new())
+            (existing.filter(|file| run_of(file) == Some(run)).map(with_length).collect(), Vec::new())
         } else {
-            (VecDeque::new(), there.collect())
+            (VecDeque::new(), existing.collect())
         };
-        let first = FirstFile::open(numbered(path, number), earlier).map_err(|error| told(error.into(), path))?;
+        let first =
+            FirstFile::open(numbered(path, number), earlier).map_err(|error| with_path_and_hint(error.into(), path))?;
         let files = Files {
             path: path.to_owned(),
             limits,
@@ -198,7 +198,7 @@ impl Recorder {
     pub fn write(&self, topic: &str, message: &AnyMessage<'_>, latency_ms: Option<f64>) -> Result<Recorded> {
         let mut files = lock(&self.files);
         let path = files.path.clone();
-        files.write(topic, message, latency_ms).map_err(|error| told(error, &path))
+        files.write(topic, message, latency_ms).map_err(|error| with_path_and_hint(error, &path))
     }
 
     /// Writes everything to the file at once.
@@ -208,7 +208,7 @@ impl Recorder {
     pub fn flush(&self) -> Result<()> {
         let mut files = lock(&self.files);
         let path = files.path.clone();
-        files.flush().map_err(|error| told(error, &path))
+        files.flush().map_err(|error| with_path_and_hint(error, &path))
     }
 
     /// Completes the file and returns the size of all files in bytes. Where no message came, an earlier recording stays.
@@ -219,12 +219,12 @@ impl Recorder {
         let mut files = lock(&self.files);
         let path = files.path.clone();
         if files.first.as_ref().is_some_and(|first| first.earlier.is_empty()) {
-            files.begin().map_err(|error| told(error, &path))?;
+            files.begin().map_err(|error| with_path_and_hint(error, &path))?;
         } else if files.first.is_some() {
             tracing::warn!("nothing came to be recorded: `{}` is still that of an earlier run", path.display());
         }
-        files.complete_open().map_err(|error| told(error, &path))?;
-        files.failure.take().map_or(Ok(()), |error| Err(told(error, &path)))?;
+        files.complete_open().map_err(|error| with_path_and_hint(error, &path))?;
+        files.failure.take().map_or(Ok(()), |error| Err(with_path_and_hint(error, &path)))?;
         Ok(files.complete.iter().map(|(_, bytes)| bytes).sum())
     }
 }
@@ -248,7 +248,7 @@ fn keep_flushed(files: &Weak<Mutex<Files>>) {
 }
 
 /// Adds the path and a hint to an error of writing.
-fn told(error: Error, path: &Path) -> Error {
+fn with_path_and_hint(error: Error, path: &Path) -> Error {
     let io = error.chain().find_map(|cause| match cause.downcast_ref::<McapError>() {
         Some(McapError::Io(error)) => Some(error),
         _ => cause.downcast_ref::<io::Error>(),
@@ -408,15 +408,15 @@ impl Files {
     }
 
     fn flush_if_due(&mut self) {
-        let waits = self.open.as_ref().and_then(|open| open.waits);
-        if waits.is_some_and(|since| since.elapsed() >= FLUSH) {
+        let unflushed_since = self.open.as_ref().and_then(|open| open.unflushed_since);
+        if unflushed_since.is_some_and(|since| since.elapsed() >= FLUSH) {
             self.failure = self.flush().err();
         }
     }
 
     fn flush(&mut self) -> Result<()> {
-        let Some(open) = self.open.as_mut().filter(|open| open.waits.is_some()) else { return Ok(()) };
-        open.waits = None;
+        let Some(open) = self.open.as_mut().filter(|open| open.unflushed_since.is_some()) else { return Ok(()) };
+        open.unflushed_since = None;
         let flushed = open.writer.flush().map_err(Error::from);
         open.settle(flushed)
     }
@@ -447,7 +447,7 @@ impl OpenFile {
             channels: BTreeMap::new(),
             begin_ns: None,
             placed: BTreeMap::new(),
-            waits: None,
+            unflushed_since: None,
         })
     }
 
@@ -496,7 +496,7 @@ impl OpenFile {
             self.put_ros(&of("points"), POINT_CLOUD, header, &points)?;
         }
         // A type without named fields is recorded only as it is.
-        if let Some(items) = all_of(message).filter(|_| item.is_short()) {
+        if let Some(items) = message.fields().filter(|_| item.is_short()) {
             let head = head(header, latency_ms);
             memory = write_list(stamped, &head, &items, memory);
             self.put_list(&of("list"), item, &head, header, &memory)?;
@@ -538,7 +538,7 @@ impl OpenFile {
             // The list may be empty, so the fields are those of an item of zeros.
             let zeros = vec![0_u64; item.size().div_ceil(size_of::<u64>())];
             let bytes = &bytemuck::cast_slice(&zeros)[..item.size()];
-            let items = all_of(&AnyMessage { header, item, bytes }).unwrap_or_default();
+            let items = AnyMessage { header, item, bytes }.fields().unwrap_or_default();
             let (name, text) = list_definition(item.name(), head, items.first().context("an item of no bytes")?);
             let schema = writer.add_schema(&name, "ros2msg", text.as_bytes())?;
             Ok(writer.add_channel(schema, channel, "cdr", &BTreeMap::new())?)
@@ -564,18 +564,9 @@ impl OpenFile {
         let (log_time, publish_time) = (header.stamp_ns, header.stamp_ns);
         let header = MessageHeader { channel_id, sequence: header.sequence as u32, log_time, publish_time };
         self.writer.write_to_known_channel(&header, data)?;
-        self.waits.get_or_insert_with(Instant::now);
+        self.unflushed_since.get_or_insert_with(Instant::now);
         Ok(())
     }
-}
-
-/// Returns the named fields of all items, if the type has them.
-fn all_of<'a>(message: &AnyMessage<'a>) -> Option<Vec<Fields<'a>>> {
-    fn of<T: Named>(message: &AnyMessage<'_>) -> Option<Vec<Fields<'static>>> {
-        Some(message.items::<T>()?.iter().map(Named::fields).collect())
-    }
-    let described = || Some(message.item.described_layout()?.items(message.bytes));
-    of::<Object>(message).or_else(|| of::<Track>(message)).or_else(|| of::<Velocity>(message)).or_else(described)
 }
 
 /// Returns the fields that a line of JSON has beside the items.

@@ -45,7 +45,7 @@ mod tests {
     use std::sync::Arc;
 
     #[test]
-    fn topics_are_told_only_where_all_are() {
+    fn topics_are_returned_only_if_the_summary_names_all_of_them() {
         let channel = |id| Channel {
             id,
             topic: format!("/{id}"),
@@ -53,17 +53,17 @@ mod tests {
             message_encoding: String::new(),
             metadata: BTreeMap::new(),
         };
-        let told = |message_count, counts: &[(u16, u64)], channels: &[u16]| {
+        let topics = |message_count, counts: &[(u16, u64)], channels: &[u16]| {
             let channel_message_counts = counts.iter().copied().collect();
             let stats = Some(Statistics { message_count, channel_message_counts, ..Statistics::default() });
             let channels = channels.iter().map(|id| (*id, Arc::new(channel(*id)))).collect();
             topics_with_messages(&Summary { stats, channels, ..Summary::default() })
         };
-        assert_eq!(told(3, &[(1, 3), (2, 0)], &[1, 2]), Some(vec!["/1".to_owned()]));
-        assert_eq!(told(0, &[], &[1]), Some(Vec::new()));
-        assert_eq!(told(3, &[(1, 3)], &[]), None, "no channels");
-        assert_eq!(told(3, &[], &[1]), None, "no counts");
-        assert_eq!(told(3, &[(1, 2)], &[1]), None, "not all");
+        assert_eq!(topics(3, &[(1, 3), (2, 0)], &[1, 2]), Some(vec!["/1".to_owned()]));
+        assert_eq!(topics(0, &[], &[1]), Some(Vec::new()));
+        assert_eq!(topics(3, &[(1, 3)], &[]), None, "no channels");
+        assert_eq!(topics(3, &[], &[1]), None, "no counts");
+        assert_eq!(topics(3, &[(1, 2)], &[1]), None, "not all");
         assert_eq!(topics_with_messages(&Summary::default()), None);
     }
 }

@@ -339,7 +339,7 @@ mod tests {
     }
 
     #[test]
-    fn objects_are_told_in_metres_and_millimetres() {
+    fn objects_are_printed_in_metres_and_millimetres() {
         let sphere = Object { kind: ObjectKind::Sphere.code(), center: [0.0, 0.0, 1.0], radius: 0.1, ..cone() };
         let expected = "objects: 2  frame 12  img12.png
   sphere   at ( 0.000,  0.000,  1.000) m  radius 100.0 mm
@@ -375,7 +375,7 @@ objects: 0  frame 13  img12.png
     }
 
     #[test]
-    fn a_brief_line_tells_what_and_where() {
+    fn a_brief_line_has_the_kind_and_the_position() {
         let sphere = Object { kind: ObjectKind::Sphere.code(), center: [0.0, 0.6, 0.8], radius: 0.0995, ..cone() };
         let track = Track { id: 7, state: TrackState::Coasting.code(), object: sphere, ..Track::default() };
         let config = || ConsoleSinkConfig { brief: true, ..ConsoleSinkConfig::default() };
@@ -387,7 +387,7 @@ objects: 0  frame 13  img12.png
     }
 
     #[test]
-    fn colours_are_those_of_the_kinds_and_what_is_doubtful_is_faint() {
+    fn each_kind_has_its_colour_and_doubtful_objects_are_faint() {
         let screen = Screen { in_colours: true, ..Screen::default() };
         let mut console = Console::new(Vec::new(), ConsoleSinkConfig::default(), screen);
         let sphere = |confidence| Object { kind: ObjectKind::Sphere.code(), confidence, ..Object::default() };
@@ -432,7 +432,7 @@ objects: 0  frame 13  img12.png
     }
 
     #[test]
-    fn an_ellipse_is_told_with_its_scan_line() {
+    fn an_ellipse_is_printed_with_its_scan_line() {
         let ellipse = Ellipse { line: 40, first: 5, last: 17, semi_axes: [0.05, 0.04], ..Ellipse::default() };
         let text = shown(ConsoleSinkConfig::default(), &[&[ellipse]]);
         assert!(
@@ -442,7 +442,7 @@ objects: 0  frame 13  img12.png
     }
 
     #[test]
-    fn a_reader_that_went_away_is_told_apart() {
+    fn a_closed_output_is_distinguished_from_other_errors() {
         struct Gone;
         impl Write for Gone {
             fn write(&mut self, _: &[u8]) -> io::Result<usize> {

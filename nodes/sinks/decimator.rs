@@ -30,7 +30,7 @@ mod tests {
     use conicflow_messages::Hop;
 
     #[test]
-    fn cameras_that_alternate_have_their_turns_each() {
+    fn alternating_cameras_are_decimated_separately() {
         let mut decimator = Decimator::new(2, 0);
         let mut is_due = |camera| {
             let mut header = Header::default();
@@ -42,7 +42,7 @@ mod tests {
     }
 
     #[test]
-    fn a_restart_goes_on_counting() {
+    fn counting_continues_after_a_restart() {
         let mut decimator = Decimator::new(3, 4);
         assert_eq!([(); 3].map(|()| decimator.is_due(&Header::default())), [false, false, true]);
     }

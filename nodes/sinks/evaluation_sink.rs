@@ -133,7 +133,7 @@ mod tests {
     use conicflow_messages::{Camera, Header, Object, Text};
 
     #[test]
-    fn details_go_into_a_folder_that_is_made() {
+    fn details_are_written_into_a_new_folder() {
         let base = tempfile::tempdir().unwrap();
         let context = Context { base: base.path().into(), ..Context::default() };
         let config = EvaluationConfig { details_path: Some("new/details.jsonl".into()), ..EvaluationConfig::default() };
@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn files_that_cannot_be_used_are_told_before_the_start() {
+    fn unusable_files_are_reported_before_the_start() {
         let base = tempfile::tempdir().unwrap();
         let config = EvaluationConfig {
             scene: Some("garden.toml".into()),

@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn every_line_is_in_the_file_at_once() {
+    fn every_line_is_written_at_once() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("new/folder/out.jsonl");
         let mut lines = JsonLines::open(&path, false).unwrap();
@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn a_new_run_starts_anew_with_its_first_line_and_a_restart_goes_on() {
+    fn a_new_run_replaces_the_file_with_its_first_line_and_a_restart_appends() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("out.jsonl");
         write(&path, true, &[1, 2]);
@@ -248,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn the_last_line_is_that_of_a_file_that_is_gone_on_with() {
+    fn an_appended_file_yields_its_last_whole_line() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("out.jsonl");
         for (content, last) in [("", None), ("1\n", Some("1")), ("1\n[2, 3]\n{\"to", Some("[2, 3]"))] {
@@ -280,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_that_fails_half_way_is_taken_back() {
+    fn a_line_that_was_written_in_part_is_removed() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("out.jsonl");
         let mut file = File::create(&path).unwrap();
@@ -295,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_disk_is_told_with_a_hint() {
+    fn a_full_disk_is_reported_with_a_hint() {
         let device = Path::new("/dev/full");
         if !device.exists() {
             eprintln!("skipped: this system has no /dev/full");
@@ -308,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_in_place_of_a_folder_is_told() {
+    fn a_file_in_place_of_a_folder_is_reported() {
         let folder = tempfile::tempdir().unwrap();
         fs::write(folder.path().join("file"), "").unwrap();
         let error = JsonLines::open(&folder.path().join("file/out.jsonl"), false).err().unwrap().to_string();

@@ -106,11 +106,13 @@ fn show_graph(shown: &Weak<Display>) {
         looked = Instant::now();
         if display.is_watched() {
             let own = std::process::id();
-            if let Some((graph, sources)) = watch.look(|seen| seen.stages.iter().any(|stage| stage.process == own)) {
+            if let Some((graph, sources)) =
+                watch.observe_graph(|seen| seen.stages.iter().any(|stage| stage.process == own))
+            {
                 let name = graph["activity"]["pipeline"].as_str().unwrap_or_default().to_owned();
                 pipeline = Some(name.clone());
-                display.tell(|about| (about.title, about.graph) = (name, graph));
-                pausing::tell(sources, &display);
+                display.change_about(|about| (about.title, about.graph) = (name, graph));
+                pausing::show_run(sources, &display);
             }
         } else {
             watch.rest();
@@ -124,7 +126,7 @@ mod tests {
     use conicflow_messages::Track;
 
     #[test]
-    fn an_address_that_is_none_is_told_before_the_start() {
+    fn an_invalid_address_is_reported_before_the_start() {
         let fault = |listen: &str, token: Option<&str>| {
             let config = ViewSinkConfig { listen: Some(listen.to_owned()), token: token.map(str::to_owned) };
             ViewSink::<Track>::faults(&config, Path::new("")).first().map(|fault| fault.key)

@@ -220,7 +220,7 @@ mod tests {
     use std::process::Command;
 
     /// Runs the check with a shell script in place of Python.
-    fn told(script: &str) -> Result<(), Hinted> {
+    fn check_with(script: &str) -> Result<(), Hinted> {
         let folder = tempfile::tempdir().unwrap();
         let program = folder.path().join("python");
         // Written by another process: a program cannot be executed while a child of another test still has it open for writing.
@@ -232,11 +232,11 @@ mod tests {
     }
 
     #[test]
-    fn python_is_asked_and_its_answer_is_told() {
-        assert_eq!(told("test \"$*\" = '-m conicflow.cameras realsense --check' && test $SDK = there"), Ok(()));
+    fn the_check_by_python_returns_its_answer() {
+        assert_eq!(check_with("test \"$*\" = '-m conicflow.cameras realsense --check' && test $SDK = there"), Ok(()));
         let answer = r#"echo '{"what": "no SDK", "hint": "install it"}'; exit 2"#;
-        assert_eq!(told(answer), Err(Hinted::new("no SDK", "install it")));
-        let silent = told("echo noise; echo 'No module named conicflow' >&2; exit 1").unwrap_err();
+        assert_eq!(check_with(answer), Err(Hinted::new("no SDK", "install it")));
+        let silent = check_with("echo noise; echo 'No module named conicflow' >&2; exit 1").unwrap_err();
         assert!(silent.what.ends_with("cannot import conicflow.cameras (No module named conicflow)"), "{silent}");
         assert!(silent.hint.contains("/./python -m pip install \"./python[realsense]\"`"), "{silent}");
         let on_debian = how_to_install::<RealSense>("python3", true);
@@ -258,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn faults_are_told() {
+    fn faults_are_reported() {
         fn faults<M: Maker>(config: &Config) -> Vec<String> {
             let faults = SdkCamera::<M>::faults(config, Path::new("/nowhere"));
             faults.into_iter().map(|fault| format!("{}: {}", fault.key, fault.what)).collect()
@@ -266,8 +266,8 @@ mod tests {
         assert!(faults::<OakD>(&Config::default()).is_empty());
         let wrong = Config { path: Some("a.mkv".into()), height: Some(576), ..Config::default() };
         assert_eq!(faults::<AzureKinect>(&wrong), ["path: `/nowhere/a.mkv` does not exist", "height: is one of two"]);
-        let told = faults::<OakD>(&Config { path: Some("a".into()), ..Config::default() });
-        assert_eq!(told, ["path: its SDK plays nothing back without a camera"]);
+        let reported = faults::<OakD>(&Config { path: Some("a".into()), ..Config::default() });
+        assert_eq!(reported, ["path: its SDK plays nothing back without a camera"]);
     }
 
     #[test]

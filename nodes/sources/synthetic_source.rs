@@ -78,7 +78,7 @@ impl Source for SyntheticSource {
             self.camera.drive(&velocity);
         }
         let camera = self.camera.raster().camera;
-        self.camera.shoot(self.next, output.image(camera.width as usize * camera.height as usize)?);
+        self.camera.shoot(self.next, output.loan(camera.width as usize * camera.height as usize)?);
         self.camera.describe(&mut output.header);
         if self.truth.is_some() {
             let line = self.truth_line();
@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn the_truth_file_has_one_line_per_frame_and_is_gone_on_with() {
+    fn the_truth_file_has_one_line_per_frame_and_is_continued_after_a_restart() {
         let base = tempfile::tempdir().unwrap();
         let path = base.path().join("truth.jsonl");
         let config = || SimulatorParameters { truth_path: Some(path.clone()), ..small() };
@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn the_source_knows_its_length_and_goes_on_where_it_was() {
+    fn the_source_knows_its_length_and_continues_where_it_stopped() {
         let context = Context { resume_at: 7, ..Context::default() };
         let source = SyntheticSource::new(SimulatorParameters { frames: 9, ..small() }, &context).unwrap();
         assert_eq!((source.total(), source.next), (Some(9), 7));
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn the_command_of_who_drives_no_longer_is_not_obeyed() {
+    fn commands_of_a_driver_that_has_stopped_are_ignored() {
         let velocity = Velocity { linear: [0.1, 0.0, 0.5], ..Velocity::default() };
         let velocities = [velocity];
         let mut source = SyntheticSource::new(small(), &Context::default()).unwrap();

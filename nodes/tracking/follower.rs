@@ -169,7 +169,7 @@ mod tests {
 
     /// `up` is a vector in the world, and a different one in the frame of a camera that lies on its side.
     #[test]
-    fn a_frame_that_lacks_its_pose_has_that_of_the_frame_before() {
+    fn a_frame_without_pose_uses_that_of_the_frame_before() {
         let mut follower = Follower::new(FollowerConfig { up: Some([0.0, 0.0, 1.0]), ..FollowerConfig::default() });
         let mut velocity = |header: &Header| follower.command(header, &[ball(1, 3.0)]).unwrap().linear;
         let with_pose = velocity(&header());
@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn no_direction_is_no_up() {
+    fn a_zero_vector_is_refused_as_the_direction_up() {
         let faults = |up| {
             let config = FollowerConfig { up: Some(up), ..FollowerConfig::default() };
             Follower::faults(&config, Path::new("."))
@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn it_stays_with_its_ball_until_that_is_lost() {
+    fn it_follows_one_ball_until_that_is_lost() {
         let mut follower = Follower::new(FollowerConfig::default());
         let mut id = |tracks: &[Track]| {
             let command = follower.command(&header(), tracks);

@@ -13,12 +13,12 @@ pub struct GraphWatch {
 impl GraphWatch {
     /// Returns the graph and the sources of the first pipeline that `is_wanted`; `None` if it does not run, or was not observed
     /// before.
-    pub fn look(&mut self, is_wanted: impl Fn(&PipelineActivity) -> bool) -> Option<(Json, Sources)> {
+    pub fn observe_graph(&mut self, is_wanted: impl Fn(&PipelineActivity) -> bool) -> Option<(Json, Sources)> {
         // A user who may not read the runs' folder sees no graph; other code that needs the folder reports the error.
         let now = observe().ok()?;
-        let seen = self.before.as_ref().map(|before| now.since(before));
+        let activities = self.before.as_ref().map(|before| now.since(before));
         self.before = Some(now);
-        let activity = seen?.into_iter().find(is_wanted)?;
+        let activity = activities?.into_iter().find(is_wanted)?;
         let running = RunningPipeline::all().ok()?;
         let running = running.into_iter().find(|running| running.plan.pipeline == activity.pipeline)?;
         Some((graph(&running.plan, &activity), running.sources()))

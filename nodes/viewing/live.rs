@@ -55,7 +55,7 @@ impl Live {
     pub fn show(&self, stop: &AtomicBool) -> Result<()> {
         while !stop.load(Ordering::Relaxed) {
             let wanted = lock(&self.wanted).clone();
-            let running = look_for_pipelines(&self.display)?;
+            let running = list_pipelines(&self.display)?;
             let chosen = match &wanted.pipeline {
                 Some(name) => running.into_iter().find(|running| running.plan.pipeline == *name),
                 None => running.into_iter().next(),
@@ -77,7 +77,7 @@ impl Live {
             Some(name) => format!("no pipeline `{name}` runs; it is waited for"),
             None => "no pipeline runs; it is waited for one: start it with `conicflow run`".to_owned(),
         };
-        self.display.tell(|about| {
+        self.display.change_about(|about| {
             about.notice = Some(notice);
             about.graph = serde_json::Value::Null;
             about.run = None;
@@ -89,7 +89,7 @@ impl Live {
         let view = Topics::of(running, wanted.depth_topic.as_deref());
         let names = view.depths.iter().map(|topic| topic.name.clone()).collect();
         let depth_topic = view.depth.map(|topic| topic.name.clone());
-        self.display.tell(|about| {
+        self.display.change_about(|about| {
             about.title.clone_from(&running.plan.pipeline);
             about.depth_topics = names;
             about.depth_topic = depth_topic;
@@ -99,7 +99,7 @@ impl Live {
         let is_watched = || self.display.is_watched() || running.sources().paused;
         let goes_on = || is_watched() && *lock(&self.wanted) == *wanted;
         if let Err(error) = self.watch(running, &view, goes_on) {
-            self.display.tell(|about| about.notice = Some(format!("{error:#}; it is tried again")));
+            self.display.change_about(|about| about.notice = Some(format!("{error:#}; it is tried again")));
         }
     }
 
@@ -181,11 +181,11 @@ fn take_commands(display: &Display, wanted: &Mutex<Wanted>, shown: &Mutex<Option
 }
 
 /// Returns the running pipelines, sorted by name, and shows their names on the page.
-fn look_for_pipelines(display: &Display) -> Result<Vec<RunningPipeline>> {
+fn list_pipelines(display: &Display) -> Result<Vec<RunningPipeline>> {
     let mut running = RunningPipeline::all()?;
     running.sort_by(|a, b| a.plan.pipeline.cmp(&b.plan.pipeline));
     let names = running.iter().map(|running| running.plan.pipeline.clone()).collect();
-    display.tell(|about| about.pipelines = names);
+    display.change_about(|about| about.pipelines = names);
     Ok(running)
 }
 
@@ -199,11 +199,11 @@ fn show_graph(display: &Display, shown: &Mutex<Option<String>>) {
             continue;
         }
         // `show` reports the error as soon as the shown run is over.
-        look_for_pipelines(display).ok();
+        list_pipelines(display).ok();
         let shown = lock(shown).clone();
-        if let Some((graph, sources)) = watch.look(|activity| Some(&activity.pipeline) == shown.as_ref()) {
-            display.tell(|about| about.graph = graph);
-            pausing::tell(sources, display);
+        if let Some((graph, sources)) = watch.observe_graph(|activity| Some(&activity.pipeline) == shown.as_ref()) {
+            display.change_about(|about| about.graph = graph);
+            pausing::show_run(sources, display);
         }
     }
 }

@@ -11,9 +11,9 @@ pub fn obey(pipeline: &str, command: &Command, display: &Display) {
         Command::Step { by: 1.. } => PauseRequest::Step,
         _ => return,
     };
-    let asked = || RunningPipeline::find(Some(pipeline), "its name")?.pause(request);
-    match asked() {
-        Ok(sources) => tell(sources, display),
+    let pause = || RunningPipeline::find(Some(pipeline), "its name")?.pause(request);
+    match pause() {
+        Ok(sources) => show_run(sources, display),
         // The page shows beforehand that the run cannot be paused, or is over.
         Err(error @ WatchError::Unclear(_)) => tracing::debug!("{error}"),
         Err(error) => tracing::warn!("the run is not paused: {error}"),
@@ -21,8 +21,8 @@ pub fn obey(pipeline: &str, command: &Command, display: &Display) {
 }
 
 /// Shows on the page whether the run is paused.
-pub fn tell(sources: Sources, display: &Display) {
+pub fn show_run(sources: Sources, display: &Display) {
     let Sources { can_pause, live, paused } = sources;
     let run = Run { can_pause: !can_pause.is_empty(), live, paused };
-    display.tell(|about| about.run = Some(run));
+    display.change_about(|about| about.run = Some(run));
 }

@@ -141,7 +141,7 @@ impl Player {
         let other = against.map(|against| Lists::open(against, key_elsewhere)?.ok_or_else(|| no_lists(against)));
         let (begin_ns, end_ns) = Files::find(path)?.span_ns()?.unwrap_or_default();
         let names: Vec<_> = [Some(path), against].into_iter().flatten().map(name_of).collect();
-        display.tell(|about| {
+        display.change_about(|about| {
             about.title = names.join(" | ");
             about.notice.clone_from(&notice);
             about.variants = if against.is_some() { names } else { Vec::new() };
@@ -179,9 +179,9 @@ impl Player {
     /// Pauses where the recording cannot be read; the error stays on the page until it can be read again.
     fn stop_at(&mut self, error: &Error) {
         tracing::warn!("{error:#}");
-        self.display.tell(|about| about.notice = Some(format!("{error:#}")));
+        self.display.change_about(|about| about.notice = Some(format!("{error:#}")));
         self.plays = false;
-        self.tell();
+        self.publish_state();
     }
 
     /// Obeys the next command, makes a step, shows the next frame if it is due, or waits for a while.
@@ -195,7 +195,7 @@ impl Player {
             self.step()?;
         } else if due.is_some_and(|due| due <= Instant::now()) && !self.advance()? {
             self.plays = false;
-            self.tell();
+            self.publish_state();
         }
         Ok(())
     }
@@ -240,7 +240,7 @@ impl Player {
             Command::Speed { factor } => self.speed = factor.clamp(SPEEDS.0, SPEEDS.1),
             Command::Pipeline { .. } | Command::DepthTopic { .. } => {}
         }
-        self.tell();
+        self.publish_state();
         Ok(())
     }
 
@@ -335,13 +335,13 @@ impl Player {
             frame.compared = Some(compare(&frame.list, list(other.replay.item(), &replayed)));
         }
         // The position goes to the page together with the frame.
-        self.tell();
-        self.display.tell(|about| about.notice.clone_from(&self.notice));
+        self.publish_state();
+        self.display.change_about(|about| about.notice.clone_from(&self.notice));
         self.display.show(frame);
         Ok(())
     }
 
-    fn tell(&self) {
+    fn publish_state(&self) {
         let seconds = |ns: u64| ns.saturating_sub(self.begin_ns) as f64 * 1e-9;
         let (at_s, length_s) = (seconds(self.at_ns), seconds(self.end_ns));
         self.display.publish_player(PlayerState { at_s, length_s, plays: self.plays, speed: self.speed });
@@ -399,7 +399,7 @@ mod tests {
     }
 
     #[test]
-    fn steps_end_where_the_recording_begins_and_ends() {
+    fn steps_stop_at_the_beginning_and_the_end_of_the_recording() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("run.mcap");
         record(&path, 0..9);
@@ -417,7 +417,7 @@ mod tests {
     }
 
     #[test]
-    fn what_comes_before_a_place_that_cannot_be_read_is_shown_and_what_comes_behind_it_once_that_can_be_read() {
+    fn frames_before_an_unreadable_place_are_shown_and_those_behind_it_once_it_can_be_read() {
         let folder = tempfile::tempdir().unwrap();
         let (recording, away) = (folder.path().join("run"), folder.path().join("away.mcap"));
         let [first, second] = ["1.mcap", "2.mcap"].map(|name| recording.join(name));
@@ -428,7 +428,7 @@ mod tests {
         let (notice, display) = (player.notice.clone(), Arc::clone(&player.display));
         let noticed = || {
             let mut noticed = None;
-            display.tell(|about| noticed.clone_from(&about.notice));
+            display.change_about(|about| noticed.clone_from(&about.notice));
             noticed
         };
         fs::rename(&second, &away).unwrap();

@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read() {
+    fn a_written_camera_info_is_read_back() {
         let info = info();
         assert_eq!((info.width, info.height, info.distortion.len()), (64, 48, 5));
         for is_rectified in [false, true] {
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn images_are_as_large_as_the_region_in_bins_or_as_all_of_the_image_where_there_is_none() {
+    fn images_are_as_large_as_the_binned_region_or_without_one_as_the_whole_image() {
         let all = info();
         assert_eq!(
             (all.fits((64, 48)), all.fits((32, 24)), all.fits((65, 48))),
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_none_is_refused() {
+    fn malformed_camera_infos_are_refused() {
         let message = CameraInfo::write(Stamped::default(), &CAMERA, Vec::new());
         assert!(CameraInfo::read(&message[..message.len() - 10]).is_err());
         let mut writer = Writer::new(Vec::new());

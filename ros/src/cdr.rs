@@ -270,7 +270,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_was_written_is_read_in_both_byte_orders() {
+    fn written_values_are_read_in_both_byte_orders() {
         let mut writer = Writer::new(vec![7; 3]);
         writer.stamped(Stamped { stamp_ns: 5_000_000_006, frame_id: "camera" }).u8(9).f64s(&[1.5]).u32(3).i32(-2);
         writer.bytes(3, [1, 2, 3].into_iter()).text("");
@@ -291,16 +291,16 @@ mod tests {
     }
 
     #[test]
-    fn lengths_that_cannot_be_are_refused() {
-        let told = |message: &[u8]| {
+    fn impossible_lengths_are_refused() {
+        let error = |message: &[u8]| {
             Reader::new(message).and_then(|mut reader| reader.text().map(str::to_owned)).unwrap_err().to_string()
         };
-        assert_eq!(told(&[0, 1]), "2 bytes, which is no message");
-        assert_eq!(told(&[0, 7, 0, 0, 1]), "encapsulation 0x00 0x07, expected plain CDR (0x00 0x00 or 0x00 0x01)");
+        assert_eq!(error(&[0, 1]), "2 bytes, which is no message");
+        assert_eq!(error(&[0, 7, 0, 0, 1]), "encapsulation 0x00 0x07, expected plain CDR (0x00 0x00 or 0x00 0x01)");
         assert_eq!(
-            told(&[0, 1, 0, 0, 0xff, 0xff, 0xff, 0xff]),
+            error(&[0, 1, 0, 0, 0xff, 0xff, 0xff, 0xff]),
             "the message ends after 8 bytes, expected 4294967295 more from byte 8"
         );
-        assert_eq!(told(&[0, 1, 0, 0, 2, 0, 0, 0, 0xff, 0]), "a text that is not UTF-8");
+        assert_eq!(error(&[0, 1, 0, 0, 2, 0, 0, 0, 0xff, 0]), "a text that is not UTF-8");
     }
 }

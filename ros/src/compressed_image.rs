@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn units_of_either_code() {
+    fn units_are_decoded_from_png_and_rvl() {
         for (format, image) in [
             ("16UC1; compressedDepth", grey()),
             ("16UC1; compressedDepth png", grey()),
@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn metres_come_from_inverse_depths() {
+    fn metres_are_decoded_from_inverse_depths() {
         for (format, image) in [("32FC1; compressedDepth png", grey()), ("32FC1; compressedDepth rvl", rvl_of())] {
             let (size, depths) = depths(&message(format, [2000.0, 1.0], &image)).unwrap();
             let Depths::Metres(metres) = depths else { panic!("{depths:?}") };
@@ -170,15 +170,15 @@ mod tests {
     }
 
     #[test]
-    fn what_is_none_is_refused() {
-        let told = |format: &str, image: &[u8]| depths(&message(format, [0.0; 2], image)).unwrap_err().to_string();
-        assert!(told("jpeg", &grey()).starts_with("the format is `jpeg`, expected `16UC1` or `32FC1`"));
-        assert!(told("16UC1; compressedDepth zip", &grey()).starts_with("the format is `16UC1; compressedDepth zip`"));
-        assert!(told("16UC1; compressedDepth", &grey()[..50]).starts_with("the PNG in it: "));
+    fn malformed_images_are_refused() {
+        let error = |format: &str, image: &[u8]| depths(&message(format, [0.0; 2], image)).unwrap_err().to_string();
+        assert!(error("jpeg", &grey()).starts_with("the format is `jpeg`, expected `16UC1` or `32FC1`"));
+        assert!(error("16UC1; compressedDepth zip", &grey()).starts_with("the format is `16UC1; compressedDepth zip`"));
+        assert!(error("16UC1; compressedDepth", &grey()[..50]).starts_with("the PNG in it: "));
         let colour = png_of(ColorType::Rgb, BitDepth::Eight, &[0; 18]);
-        assert!(told("16UC1; compressedDepth", &colour).starts_with("a PNG of Eight bits Rgb in it"));
-        assert_eq!(told("16UC1; compressedDepth rvl", &[1; 5]), "5 bytes of RVL, expected the size and an image");
-        assert!(told("16UC1; compressedDepth rvl", &[0xff; 12]).starts_with("an image of 4294967295x4294967295"));
-        assert!(told("16UC1; compressedDepth rvl", &rvl_of()[..12]).starts_with("the RVL code is broken after"));
+        assert!(error("16UC1; compressedDepth", &colour).starts_with("a PNG of Eight bits Rgb in it"));
+        assert_eq!(error("16UC1; compressedDepth rvl", &[1; 5]), "5 bytes of RVL, expected the size and an image");
+        assert!(error("16UC1; compressedDepth rvl", &[0xff; 12]).starts_with("an image of 4294967295x4294967295"));
+        assert!(error("16UC1; compressedDepth rvl", &rvl_of()[..12]).starts_with("the RVL code is broken after"));
     }
 }

@@ -80,7 +80,7 @@ mod tests {
     }
 
     #[test]
-    fn a_track_is_told_with_its_pose_its_box_and_its_number() {
+    fn a_detection_has_the_pose_the_box_and_the_number_of_its_track() {
         let track = Track { id: 7, object: can(), ..Track::default() };
         let message = detections(STAMPED, &[track], Vec::new());
         let mut reader = Reader::new(&message).unwrap();
@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn an_axis_is_known_across_and_a_turn_about_it_is_not() {
+    fn the_covariance_covers_tilts_of_an_axis_and_leaves_the_turn_about_it_unknown() {
         let covariance = covariance(&can());
         let variance = |turn: [f64; 3]| {
             let pairs = (0..3).flat_map(|row| (0..3).map(move |column| (row, column)));
@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn boxes_hold_their_objects() {
+    fn boxes_contain_their_objects() {
         let ball = Object { radius: 0.1, ..Object::default() };
         assert_eq!(size(&ball), [0.2; 3]);
         let cone = Object { kind: ObjectKind::Cone.code(), base_radius: 0.2, length: 0.3, ..ball };

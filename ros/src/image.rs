@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn units_of_both_byte_orders_with_padding() {
+    fn units_are_read_in_both_byte_orders_with_padding() {
         let expected = Depths::Units(vec![1, 2, 0x0304, 5, 6, 65535]);
         let little = [1, 0, 2, 0, 4, 3, 9, 9, 5, 0, 6, 0, 255, 255, 9, 9];
         let big = [0, 1, 0, 2, 3, 4, 9, 9, 0, 5, 0, 6, 255, 255];
@@ -231,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn metres_of_both_byte_orders() {
+    fn metres_are_read_in_both_byte_orders() {
         let numbers = [0.5_f32, 1.0, f32::INFINITY, 2.0, 3.25, 4.0];
         let bytes = |of: fn(f32) -> [u8; 4]| numbers.into_iter().flat_map(of).collect::<Vec<u8>>();
         for (is_big_endian, data) in [(false, bytes(f32::to_le_bytes)), (true, bytes(f32::to_be_bytes))] {
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read() {
+    fn a_written_image_is_read_back() {
         let pixels = [0, 1, 65535, 4, 5, 6];
         let written = write_units(STAMPED, (3, 2), &pixels, Vec::new());
         let image = Image::read(&written).unwrap();
@@ -263,19 +263,19 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_depth_image_is_refused() {
-        let told = |message: &[u8]| depths(message).unwrap_err().to_string();
-        assert!(told(&message("rgb8", false, 9, &[0; 18])).starts_with("pixels are `rgb8`, expected `16UC1`"));
+    fn an_image_without_depths_is_refused() {
+        let error = |message: &[u8]| depths(message).unwrap_err().to_string();
+        assert!(error(&message("rgb8", false, 9, &[0; 18])).starts_with("pixels are `rgb8`, expected `16UC1`"));
         let short = "13 bytes of pixels in rows of 8, expected 3x2 pixels of 2 bytes";
-        assert_eq!(told(&message("16UC1", false, 8, &[0; 13])), short);
-        assert!(told(&message("16UC1", false, 5, &[0; 12])).contains("in rows of 5"));
-        assert!(told(&message("16UC1", false, 0, &[0; 12])).contains("in rows of 0"));
+        assert_eq!(error(&message("16UC1", false, 8, &[0; 13])), short);
+        assert!(error(&message("16UC1", false, 5, &[0; 12])).contains("in rows of 5"));
+        assert!(error(&message("16UC1", false, 0, &[0; 12])).contains("in rows of 0"));
         let mut huge = message("16UC1", false, 6, &[0; 12]);
         let at = 4 + 8 + 4 + 7 + 1;
         assert_eq!(&huge[at..at + 8], [2, 0, 0, 0, 3, 0, 0, 0]);
         huge[at + 2] = 0xff;
-        assert!(told(&huge).starts_with("an image of 3x16711682 pixels"));
+        assert!(error(&huge).starts_with("an image of 3x16711682 pixels"));
         huge[at..at + 4].fill(0);
-        assert!(told(&huge).starts_with("an image of 3x0 pixels"));
+        assert!(error(&huge).starts_with("an image of 3x0 pixels"));
     }
 }

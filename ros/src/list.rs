@@ -100,7 +100,7 @@ mod tests {
     use conicflow_messages::{Layout, Named, Object, ObjectKind, Track};
 
     #[test]
-    fn the_definition_tells_what_the_bytes_are() {
+    fn the_definition_describes_the_bytes() {
         let head = Fields(vec![("sequence", 7_u64.into()), ("source", "a.png".into())]);
         let track = Track { id: 3, object: Object { radius: 0.5, ..Object::default() }, ..Track::default() };
         let (name, text) = list_definition("tracks", &head, &track.fields());
@@ -136,14 +136,14 @@ mod tests {
     }
 
     #[test]
-    fn what_a_shape_does_not_have_changes_no_definition() {
+    fn the_definition_is_the_same_for_all_shapes() {
         let kinds = ObjectKind::ALL.map(|kind| Object { kind: kind.code(), ..Object::default() }.fields());
         let [sphere, others @ ..] = kinds.map(|item| list_definition("objects", &Fields(Vec::new()), &item));
         assert!(others.iter().all(|other| *other == sphere));
     }
 
     #[test]
-    fn types_of_the_file_have_their_fields() {
+    fn types_described_in_the_pipeline_file_have_their_fields() {
         let fields = [("at", "f64[2]"), ("id", "i16"), ("flags", "u8[2]"), ("name", "text[3]"), ("_hole", "u8[1]")];
         let layout = Layout::new(&fields.map(|(name, kind)| (name.to_owned(), kind.to_owned()))).unwrap();
         let mut item: Vec<u8> = [0.5_f64, 1.5].iter().flat_map(|number| number.to_ne_bytes()).collect();

@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn depths_of_both_byte_orders_with_padding() {
+    fn depths_are_read_in_both_byte_orders_with_padding() {
         let little = message(2, f32::to_le_bytes, false, FLOAT32);
         let big = message(2, f32::to_be_bytes, true, FLOAT32);
         for message in [little, big] {
@@ -152,19 +152,19 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_organised_cloud_is_refused() {
-        let told = |message: &[u8]| PointCloud::read(message).unwrap_err().to_string();
+    fn a_cloud_that_is_not_organised_is_refused() {
+        let error = |message: &[u8]| PointCloud::read(message).unwrap_err().to_string();
         let good = message(2, f32::to_le_bytes, false, FLOAT32);
-        assert!(told(&message(1, f32::to_le_bytes, false, FLOAT32)).starts_with("the points are in no rows"));
-        assert!(told(&message(2, f32::to_le_bytes, false, 8)).contains("no x, y and z"));
+        assert!(error(&message(1, f32::to_le_bytes, false, FLOAT32)).starts_with("the points are in no rows"));
+        assert!(error(&message(2, f32::to_le_bytes, false, 8)).contains("no x, y and z"));
         let more_rows = message(3, f32::to_le_bytes, false, FLOAT32);
-        assert_eq!(told(&more_rows), "128 bytes of points of 20 in rows of 64, expected 3x3 points");
-        assert!(told(&good[..good.len() - 9]).contains("the message ends"));
+        assert_eq!(error(&more_rows), "128 bytes of points of 20 in rows of 64, expected 3x3 points");
+        assert!(error(&good[..good.len() - 9]).contains("the message ends"));
         let steps = good.windows(8).position(|bytes| bytes == [20, 0, 0, 0, 64, 0, 0, 0]).unwrap();
         for (at, bytes) in [(steps, [8, 0, 0, 0]), (steps, [255; 4]), (steps + 4, [0; 4]), (steps + 4, [255; 4])] {
             let mut spoilt = good.clone();
             spoilt[at..at + 4].copy_from_slice(&bytes);
-            assert!(told(&spoilt).contains("expected 3x2 points"), "{bytes:?} at {at}");
+            assert!(error(&spoilt).contains("expected 3x2 points"), "{bytes:?} at {at}");
         }
     }
 }

@@ -100,13 +100,13 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn an_image_by_hand() {
+    fn an_image_encoded_by_hand_is_decoded() {
         // No zeros, one measurement, +5: zigzag 10 = 0b1_010, in groups 1010 and 0001.
         assert_eq!(decode(&0x01a1_0000_u32.to_le_bytes(), 1).unwrap(), [5]);
     }
 
     #[test]
-    fn images_come_back() {
+    fn encoded_images_are_decoded_exactly() {
         let images: [&[u16]; 4] = [&[0; 9], &[1, 65535, 1, 0, 0, 40000], &[0, 0, 7, 7, 7, 0, 3], &[1000; 100]];
         for image in images {
             assert_eq!(decode(&encode(image), image.len()).unwrap(), image);

@@ -38,8 +38,8 @@ fn colored_points<T: Marked>(item: &T) -> Vec<[f32; 4]> {
     let object = item.object();
     let mut points = surface(object);
     if let Some(velocity) = item.velocity() {
-        let (center, way) = (Vector3::from(object.center), AHEAD_S * Vector3::from(velocity));
-        points.extend((0..=STEPS).map(|step| center + step as f64 / STEPS as f64 * way));
+        let (center, path) = (Vector3::from(object.center), AHEAD_S * Vector3::from(velocity));
+        points.extend((0..=STEPS).map(|step| center + step as f64 / STEPS as f64 * path));
     }
     let bytes = color(object.shape()).map(|part| u32::from((255.0 * part) as u8));
     let rgb = f32::from_bits(bytes.into_iter().fold(0, |color, byte| color << 8 | byte));
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn what_moves_points_to_where_it_will_be_and_kinds_differ_in_colour() {
+    fn points_of_a_moving_object_lead_ahead_and_kinds_differ_in_colour() {
         let objects = ObjectKind::ALL.map(object);
         let still = read(&surface_points(STAMPED, &objects, Vec::new()));
         let colors: Vec<_> = still.chunks(RINGS * SIDES).map(|points| points[0].1).collect();

@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn poses_go_through_all_frames_between() {
+    fn poses_are_chained_through_all_frames_between() {
         let transforms = robot();
         let mut expected = OPTICAL;
         expected[0][3] = 11.25;
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn what_nothing_tells_has_no_pose() {
+    fn a_frame_without_a_chain_of_transforms_has_no_pose() {
         let mut transforms = robot();
         for (target, source, stamp_ns) in [("map", "optical", 99), ("map", "optical", 201), ("map", "other", 150)] {
             assert_eq!(transforms.pose(target, source, stamp_ns), None, "{source} in {target} at {stamp_ns}");
@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn of_a_robot_the_newest_poses_are_known() {
+    fn a_live_store_keeps_the_newest_poses_of_a_limited_number_of_frames() {
         let mut transforms = Transforms::live();
         for stamp_ns in 0..MOST_LIVE_POSES as u64 + 1 {
             add(&mut transforms, ("map", "base"), stamp_ns, &at(stamp_ns as f64), false);
@@ -224,12 +224,12 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_rotation_is_refused() {
+    fn a_transform_without_a_rotation_is_refused() {
         let mut message = write_transform(Stamped { stamp_ns: 0, frame_id: "map" }, "base", &NONE, Vec::new());
         let length = message.len();
         message[length - 8..].copy_from_slice(&2.0_f64.to_le_bytes());
-        let told = Transforms::default().add(&message, false).unwrap_err().to_string();
-        assert_eq!(told, "the transform of `base` in `map` is none");
+        let error = Transforms::default().add(&message, false).unwrap_err().to_string();
+        assert_eq!(error, "the transform of `base` in `map` is none");
         let many = Writer::new(Vec::new()).u32(1 << 20).clone().finish();
         assert_eq!(Transforms::default().add(&many, false).unwrap_err().to_string(), "1048576 transforms in a message");
     }

@@ -213,7 +213,7 @@ impl<M: Middleware> Source for Ros2Source<M> {
             Ok(Some((header, Units { pixels, too_far, .. }))) => {
                 output.count(TOO_FAR, too_far);
                 output.header = header;
-                output.image(pixels.len())?.copy_from_slice(&pixels);
+                output.loan(pixels.len())?.copy_from_slice(&pixels);
                 self.look_for_pose(&header, output);
                 return Ok(Next::Message);
             }

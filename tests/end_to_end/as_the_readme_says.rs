@@ -45,7 +45,7 @@ fn frames() -> Playground {
 }
 
 #[test]
-fn who_has_pngs_finds_objects_and_pictures_of_them() {
+fn a_user_with_pngs_gets_objects_and_pictures_of_them() {
     let playground = frames();
     let [command] = commands("PNGs")[..] else { panic!("one command") };
     let ended = Started::new(shell(&playground, command)).wait().expect_code(0);
@@ -56,7 +56,7 @@ fn who_has_pngs_finds_objects_and_pictures_of_them() {
 }
 
 #[test]
-fn the_pipeline_file_for_frames_of_ones_own_gives_a_line_for_each() {
+fn the_pipeline_file_for_the_users_frames_gives_a_line_for_each() {
     let playground = frames();
     let text = README.split("```toml\n").nth(1).unwrap().split("```").next().unwrap();
     playground.write("pipeline.toml", text);
@@ -67,7 +67,7 @@ fn the_pipeline_file_for_frames_of_ones_own_gives_a_line_for_each() {
 }
 
 #[test]
-fn who_has_a_recording_finds_the_objects_in_it() {
+fn a_user_with_a_recording_gets_the_objects_in_it() {
     let sink = "node = \"mcap_sink\"\ninput = { topic = \"depth\", delivery = \"lossless\" }\npath = \"run.mcap\"\n";
     let playground = Playground::with_pipeline(&format!("{TRACKING}\n[stage.recorder]\n{sink}"));
     playground.conicflow(&["run", "--frames", "12"]).expect_code(0);
@@ -78,7 +78,7 @@ fn who_has_a_recording_finds_the_objects_in_it() {
 
 /// The address in the command is that of a host without any other, which has a router.
 #[test]
-fn who_has_a_robot_with_ros_reaches_its_router() {
+fn a_user_with_a_ros_robot_reaches_its_router() {
     let Some(host) = Host::new() else { return };
     host.ip("addr add 192.168.0.2/32 dev lo");
     let playground = Playground::new();
@@ -93,7 +93,7 @@ fn who_has_a_robot_with_ros_reaches_its_router() {
 
 /// Both machines are one host, in runtime folders of their own, as the file stands, but for less time.
 #[test]
-fn who_has_two_machines_runs_the_halves_of_a_pipeline() {
+fn a_user_with_two_machines_runs_the_halves_of_a_pipeline() {
     let Some(host) = Host::new() else { return };
     let [robot, base] = commands("two machines")[..] else { panic!("two commands") };
     let runs = [(robot, "--frames 60"), (base, "--set console.period_s=0.1")].map(|(command, shorter)| {
@@ -109,7 +109,7 @@ fn who_has_two_machines_runs_the_halves_of_a_pipeline() {
 
 /// With a Python that has neither the package nor the SDK; where both are, the tests of the Python package run this.
 #[test]
-fn who_has_a_camera_is_told_what_is_missing() {
+fn a_user_with_a_camera_reads_what_is_missing() {
     let playground = Playground::new();
     playground.write("program", "#!/bin/sh\necho 'No module named conicflow' >&2\nexit 1\n");
     fs::set_permissions(playground.path("program"), fs::Permissions::from_mode(0o755)).unwrap();
@@ -119,8 +119,8 @@ fn who_has_a_camera_is_told_what_is_missing() {
     shell.current_dir(ROOT).env_remove("VIRTUAL_ENV");
     let ended = Started::new(shell).wait().expect_code(2);
     // Of this checkout, or of the package for Debian where that is installed.
-    let ways = ["-m pip install \"./python[realsense]\"`", "sudo /opt/conicflow/bin/pip install pyrealsense2`"];
-    assert!(ways.iter().any(|way| ended.stderr.contains(way)), "{}", ended.stderr);
+    let commands = ["-m pip install \"./python[realsense]\"`", "sudo /opt/conicflow/bin/pip install pyrealsense2`"];
+    assert!(commands.iter().any(|command| ended.stderr.contains(command)), "{}", ended.stderr);
 }
 
 /// Whether these programs are there; what was not shown is said where one is not.
@@ -155,7 +155,7 @@ fn done(script: &str, folder: &Path) -> Output {
 }
 
 #[test]
-fn who_has_a_program_in_c_gets_objects_from_the_library() {
+fn a_user_with_a_program_in_c_gets_objects_from_the_library() {
     if !has(&["cc"], "that a program in C is built as the document says") {
         return;
     }
@@ -170,8 +170,8 @@ fn who_has_a_program_in_c_gets_objects_from_the_library() {
     let block = include_str!("../../docs/c.md").split("```console\n").nth(1).unwrap().split("```").next().unwrap();
     let lines: Vec<_> = block.lines().filter_map(|line| line.strip_prefix("$ ")).collect();
     assert!(lines.len() == 3 && lines[0].starts_with(command), "{block}");
-    let told = String::from_utf8(done(&lines.join("\n"), &folder).stdout).unwrap();
-    assert!(told.starts_with("sphere at (") && told.contains(" 1.000) m, radius 0.1500 m +- "), "{told}");
+    let output = String::from_utf8(done(&lines.join("\n"), &folder).stdout).unwrap();
+    assert!(output.starts_with("sphere at (") && output.contains(" 1.000) m, radius 0.1500 m +- "), "{output}");
 }
 
 /// Makes an environment of its own in `venv`, and has what the package needs come. pip and NumPy are those of PYTHON where it has
@@ -193,7 +193,7 @@ pip download --quiet --timeout 20 --retries 1 --no-deps --dest wheels 'maturin>=
 const NOT_INSTALLED: i32 = 7;
 
 #[test]
-fn who_has_python_installs_the_package_and_finds_objects() {
+fn a_user_with_python_installs_the_package_and_finds_objects() {
     let (playground, what) = (frames(), "that `pip install ./python` works");
     let python = std::env::var("CONICFLOW_TEST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     if !has(&[&python], what) {
@@ -231,12 +231,16 @@ fn who_has_python_installs_the_package_and_finds_objects() {
                   fx, fy, cx, cy = 525, 525, 319.5, 239.5\n";
     playground.write("found.py", &format!("{before}{block}"));
     let found = run("python found.py", &playground.path("."));
-    let told = String::from_utf8_lossy(&found.stdout);
-    assert!(told.starts_with("sphere [") && told.contains("0.15"), "{told}{}", String::from_utf8_lossy(&found.stderr));
+    let output = String::from_utf8_lossy(&found.stdout);
+    assert!(
+        output.starts_with("sphere [") && output.contains("0.15"),
+        "{output}{}",
+        String::from_utf8_lossy(&found.stderr)
+    );
 }
 
 #[test]
-fn who_has_python_reads_the_lines_of_json() {
+fn a_user_with_python_reads_the_lines_of_json() {
     if !has(&["python3"], "that a program in Python reads lines of JSON") {
         return;
     }
@@ -250,15 +254,15 @@ fn who_has_python_reads_the_lines_of_json() {
 
 /// Unpacked rather than installed, which would change this machine.
 #[test]
-fn who_has_a_robot_makes_a_package_of_it() {
+fn a_user_with_a_robot_builds_a_debian_package() {
     let what = "that the package for Debian and Ubuntu is made and works";
     if !has(&["cargo-deb", "cargo-about", "dpkg-deb"], what) {
         return;
     }
     let [command, ..] = commands("a robot to run it on")[..] else { panic!("a command") };
-    let told = String::from_utf8(done(command, &checkout()).stdout).unwrap();
+    let output = String::from_utf8(done(command, &checkout()).stdout).unwrap();
     let playground = Playground::with_pipeline(TRACKING);
-    done(&format!("dpkg-deb -x {} root", told.lines().last().unwrap()), &playground.path("."));
+    done(&format!("dpkg-deb -x {} root", output.lines().last().unwrap()), &playground.path("."));
     let program = playground.path("root/usr/bin/conicflow");
     Started::new(playground.command_of(&program, &["run", "--frames", "12"])).wait().expect_code(0);
     assert_eq!(playground.lines("tracks.jsonl").len(), 12);

@@ -141,14 +141,15 @@ fn two_machines_find_the_same_tracks_as_one_bit_for_bit_whoever_starts_first() {
 }
 
 #[test]
-fn what_comes_from_another_machine_is_seen_in_its_topic() {
+fn messages_of_another_machine_are_listed_under_their_topic() {
     let machines = live_machines();
     let mut runs = [start(&machines[0], "robot"), start(&machines[1], "base")];
     runs[1].wait_until("tracks arrive", || newest(&machines[1]) > 20);
-    let look = |arguments: &[&str]| machines[1].conicflow(&[&["topic"], arguments].concat()).expect_code(0).stdout;
+    let topic_output =
+        |arguments: &[&str]| machines[1].conicflow(&[&["topic"], arguments].concat()).expect_code(0).stdout;
     // Rates are those of the last second, in which a busy host may have carried nothing.
     runs[1].wait_until("the list tells its rate", || {
-        let list = look(&["list"]);
+        let list = topic_output(&["list"]);
         let row = list.lines().find(|line| line.starts_with("ellipses ")).unwrap_or_else(|| panic!("{list}"));
         let words: Vec<_> = row.split_whitespace().collect();
         assert_eq!(
@@ -159,7 +160,7 @@ fn what_comes_from_another_machine_is_seen_in_its_topic() {
     });
     for (figure, unit) in [("hz", "Hz"), ("bw", "MB/s")] {
         runs[1].wait_until("a second in which it carries something", || {
-            let line = look(&[figure, "ellipses", "--count", "1"]);
+            let line = topic_output(&[figure, "ellipses", "--count", "1"]);
             let words: Vec<_> = line.split([' ', ',']).collect();
             assert!(words[0] == "ellipses:" && words[2] == unit, "{line}");
             words[1].parse::<f64>().unwrap() > 0.0
@@ -169,7 +170,7 @@ fn what_comes_from_another_machine_is_seen_in_its_topic() {
 }
 
 #[test]
-fn a_machine_that_is_killed_and_started_again_gets_what_is_new_and_the_other_feels_nothing() {
+fn a_machine_that_is_killed_and_restarted_gets_new_messages_and_the_other_is_not_affected() {
     let machines = live_machines();
     let [robot, base] = &machines;
     let mut robot_run = start(robot, "robot");
@@ -197,7 +198,7 @@ fn lossless_machines() -> [Playground; 2] {
 }
 
 #[test]
-fn a_machine_whose_run_was_ended_and_begun_again_gets_what_is_new_of_a_lossless_edge() {
+fn a_machine_whose_run_ended_and_was_restarted_gets_new_messages_of_a_lossless_edge() {
     let [robot, base] = &lossless_machines();
     let (robot_run, mut base_run) = (start(robot, "robot"), start(base, "base"));
     wait_for_frames(&mut base_run, base, 20);
@@ -211,7 +212,7 @@ fn a_machine_whose_run_was_ended_and_begun_again_gets_what_is_new_of_a_lossless_
 }
 
 #[test]
-fn a_lossless_edge_goes_on_where_the_machine_that_sends_is_killed_and_started_again() {
+fn a_lossless_edge_goes_on_when_the_sending_machine_is_killed_and_restarted() {
     let [robot, base] = &lossless_machines();
     let (robot_run, mut base_run) = (start(robot, "robot"), start(base, "base"));
     let lines = || base.lines("tracks.jsonl").len();
@@ -281,17 +282,17 @@ fn kill_the_bridge_of(killed: usize) -> u64 {
 }
 
 #[test]
-fn nothing_is_lost_with_a_receiving_bridge_that_is_killed() {
+fn nothing_is_lost_when_the_receiving_bridge_is_killed() {
     assert_eq!(kill_the_bridge_of(1), 0);
 }
 
 #[test]
-fn nothing_is_lost_with_a_sending_bridge_that_is_killed() {
+fn nothing_is_lost_when_the_sending_bridge_is_killed() {
     assert_eq!(kill_the_bridge_of(0), 0);
 }
 
 #[test]
-fn what_waits_for_a_machine_is_not_lost_with_a_sending_bridge_that_is_killed() {
+fn messages_that_wait_for_a_machine_are_not_lost_when_the_sending_bridge_is_killed() {
     const FRAMES: u64 = 100;
     let endpoint = loopback();
     let text = apart(&endpoint, &endpoint).replace("rate_hz    = 0", &format!("rate_hz = 0\nframes = {FRAMES}"));
@@ -336,7 +337,7 @@ fn a_bridge_that_is_killed_at_the_end_of_a_run_loses_nothing_and_keeps_nobody_wa
 
 /// A stage is held up for longer than a bridge waits for readers that have ended.
 #[test]
-fn a_reader_that_stands_still_for_long_misses_nothing() {
+fn a_reader_that_is_stopped_for_long_misses_nothing() {
     const FRAMES: u64 = 200;
     let endpoint = loopback();
     let text = apart(&endpoint, &endpoint).replace("rate_hz    = 0", &format!("rate_hz = 100\nframes = {FRAMES}"));
@@ -422,7 +423,7 @@ pub fn wait_for_link(machine: &Playground, state: &str) {
 }
 
 #[test]
-fn what_is_made_while_nobody_is_there_who_wants_it_is_counted() {
+fn messages_written_while_no_machine_wants_them_are_counted() {
     let [robot, _base] = live_machines();
     let mut run = start(&robot, "robot");
     run.wait_until("ellipses are made", || robot.top()["stages"][1]["messages"].as_u64() > Some(20));

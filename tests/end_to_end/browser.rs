@@ -49,7 +49,7 @@ fn it_shows_a_run_in_the_image_in_space_and_as_stages(browser: &Browser) {
     let before = browser.value("Number(document.getElementById('sequence').textContent)").as_u64().unwrap();
     browser.wait("frames follow", &format!("Number(document.getElementById('sequence').textContent) > {}", before + 3));
     assert_eq!(browser.value("document.getElementById('link').textContent"), "live");
-    browser.look("live");
+    browser.expect_no_faults("live");
     drop(run);
     browser.wait("it says that the run is over", "document.getElementById('link').textContent === 'waiting'");
     browser.wait("and how often frames come no more", "document.getElementById('rate').textContent === '–'");
@@ -78,7 +78,7 @@ fn it_plays_a_recording_by_its_time_line_also_on_a_phone(browser: &Browser) {
     browser.wait("the image has colours", COLOURS);
     let is_narrow = "document.documentElement.scrollWidth <= window.innerWidth";
     assert_eq!(browser.value(is_narrow), true, "nothing is wider than the phone");
-    browser.look("recording");
+    browser.expect_no_faults("recording");
     browser.leave();
 }
 
@@ -108,7 +108,7 @@ fn it_pauses_a_run_and_steps_it(browser: &Browser) {
     browser.wait("a frame more", &format!("{sequence} > {at}"));
     browser.press("ArrowRight");
     browser.wait("one more by its key", &format!("{sequence} > {}", at + 1));
-    browser.look("paused");
+    browser.expect_no_faults("paused");
     browser.press(" ");
     browser.wait("it goes on", &format!("{sequence} > {}", at + 5));
     browser.wait("it says so", "document.getElementById('link').textContent === 'live'");
@@ -129,7 +129,7 @@ fn it_shows_two_variants_one_over_the_other(browser: &Browser) {
         browser.wait("the image has colours", COLOURS);
         let is_narrow = "document.documentElement.scrollWidth <= window.innerWidth";
         assert_eq!(browser.value(is_narrow), true, "nothing is wider than the window");
-        browser.look(name);
+        browser.expect_no_faults(name);
         browser.leave();
     }
 }

@@ -64,7 +64,7 @@ fn make_for_time(folder: &Path, name: &str, [from, until]: [&str; 2]) {
 }
 
 #[test]
-fn only_who_has_the_right_certificate_gets_in_and_who_is_refused_is_told_why_on_both_sides() {
+fn only_a_machine_with_the_right_certificate_connects_and_both_sides_report_why_another_is_refused() {
     const PAST: [&str; 2] = ["20200101000000Z", "20200102000000Z"];
     const FUTURE: [&str; 2] = ["22000101000000Z", "22000102000000Z"];
     let endpoint = tls_loopback();
@@ -118,7 +118,7 @@ fn only_who_has_the_right_certificate_gets_in_and_who_is_refused_is_told_why_on_
 
 /// What is wrong with the certificate of who listens, the others find out.
 #[test]
-fn who_listens_with_a_certificate_out_of_its_time_is_refused_and_both_are_told() {
+fn a_listening_machine_with_an_expired_certificate_is_refused_and_both_sides_report_it() {
     let endpoint = tls_loopback();
     let [robot, base] = live(&endpoint);
     let folder = robot.path("tls");
@@ -134,7 +134,7 @@ fn who_listens_with_a_certificate_out_of_its_time_is_refused_and_both_are_told()
 }
 
 #[test]
-fn what_is_wrong_with_a_certificate_of_ones_own_is_told_before_and_stops_no_run() {
+fn faults_of_the_machines_own_certificate_are_reported_before_the_run_and_do_not_stop_it() {
     let text = live_text(&tls_loopback());
     let robot = Playground::with_pipeline(&text);
     let folder = robot.path("tls");
@@ -145,19 +145,19 @@ fn what_is_wrong_with_a_certificate_of_ones_own_is_told_before_and_stops_no_run(
     let valid = validate().expect_code(0);
     assert!(!valid.stdout.contains("certificate"), "{}", valid.stdout);
     make_for_time(&folder, "robot", ["20200101000000Z", "20200102000000Z"]);
-    let is_told = |text: &str, kind: &str| {
-        let told = ["machine `robot`: the certificate in `", "robot.pem` has expired "];
-        text.lines().any(|line| line.trim().starts_with(kind) && told.iter().all(|told| line.contains(told)))
+    let is_reported = |text: &str, kind: &str| {
+        let parts = ["machine `robot`: the certificate in `", "robot.pem` has expired "];
+        text.lines().any(|line| line.trim().starts_with(kind) && parts.iter().all(|part| line.contains(part)))
     };
     let warned = validate().expect_code(0);
-    assert!(is_told(&warned.stdout, "warning"), "{}", warned.stdout);
+    assert!(is_reported(&warned.stdout, "warning"), "{}", warned.stdout);
     let found = robot.conicflow(&["doctor", "--machine", "robot"]).expect_code(1);
-    assert!(is_told(&found.stdout, "problem"), "{}", found.stdout);
+    assert!(is_reported(&found.stdout, "problem"), "{}", found.stdout);
     // The clock may come right while it runs.
     let mut run = start(&robot, "robot");
     run.wait_until("it works", || robot.top()["stages"][0]["messages"].as_u64() > Some(10));
     let ended = run.end();
-    assert!(is_told(&ended.stderr, "warning"), "{}", ended.stderr);
+    assert!(is_reported(&ended.stderr, "warning"), "{}", ended.stderr);
     std::fs::copy(folder.join("base.key"), folder.join("robot.key")).unwrap();
     let mixed = validate().expect_code(0).stdout;
     assert!(mixed.contains("robot.key` is not the key of the certificate in `"), "{mixed}");
@@ -187,8 +187,8 @@ fn datagrams_may_be_encrypted_too() {
 /// Somebody with a certificate of the authority, who reads and writes what is not theirs.
 struct Guest {
     session: zenoh::Session,
-    heard: Arc<AtomicU64>,
-    _ears: Vec<zenoh::pubsub::Subscriber<()>>,
+    received: Arc<AtomicU64>,
+    _subscribers: Vec<zenoh::pubsub::Subscriber<()>>,
 }
 
 impl Guest {
@@ -202,16 +202,16 @@ impl Guest {
             ("transport/link/tls/enable_mtls", "true"),
         ];
         let session = session("peer", &set);
-        let heard = Arc::new(AtomicU64::new(0));
+        let received = Arc::new(AtomicU64::new(0));
         let listen = |key: &str| {
-            let heard = Arc::clone(&heard);
-            let hear = move |_| {
-                heard.fetch_add(1, Ordering::Relaxed);
+            let received = Arc::clone(&received);
+            let count = move |_| {
+                received.fetch_add(1, Ordering::Relaxed);
             };
-            session.declare_subscriber(format!("conicflow/tracking/{key}")).callback(hear).wait().unwrap()
+            session.declare_subscriber(format!("conicflow/tracking/{key}")).callback(count).wait().unwrap()
         };
-        let ears = ["robot/*", "@link/robot"].map(listen).into();
-        Self { session, heard, _ears: ears }
+        let subscribers = ["robot/*", "@link/robot"].map(listen).into();
+        Self { session, received, _subscribers: subscribers }
     }
 
     /// Claims to be the base, of another version.
@@ -221,7 +221,7 @@ impl Guest {
 }
 
 #[test]
-fn who_is_not_on_the_list_can_neither_read_nor_write() {
+fn a_machine_outside_the_access_list_can_neither_read_nor_write() {
     const EXAMPLE: &str = include_str!("../../examples/tls/access_control.json5");
     let endpoint = tls_loopback();
     let [robot, base] = live(&endpoint);
@@ -243,11 +243,12 @@ fn who_is_not_on_the_list_can_neither_read_nor_write() {
         let before = newest(&base);
         base_run.wait_until("tracks go on", || {
             guest.lie();
-            let has_come = || guest.heard.load(Ordering::Relaxed) > 0 && robot_run.stderr().contains("version 99");
-            newest(&base) > before + 30 && (listed || has_come())
+            let has_read_and_written =
+                || guest.received.load(Ordering::Relaxed) > 0 && robot_run.stderr().contains("version 99");
+            newest(&base) > before + 30 && (listed || has_read_and_written())
         });
-        let (heard, noticed) = (guest.heard.load(Ordering::Relaxed), robot_run.stderr().contains("version 99"));
-        assert_eq!([heard == 0, !noticed], [listed; 2], "{heard} messages; {}", robot_run.stderr());
+        let (received, noticed) = (guest.received.load(Ordering::Relaxed), robot_run.stderr().contains("version 99"));
+        assert_eq!([received == 0, !noticed], [listed; 2], "{received} messages; {}", robot_run.stderr());
         drop([base_run, robot_run].map(Started::end));
     }
 }

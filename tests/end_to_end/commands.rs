@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 #[test]
-fn the_graph_of_the_default_pipeline() {
+fn the_default_pipeline_is_printed_as_a_graph() {
     let expected = r#"flowchart LR
   source["source<br/>synthetic_source"]
   extractor["extractor<br/>row_ellipse_extractor"]
@@ -24,7 +24,7 @@ fn the_graph_of_the_default_pipeline() {
 }
 
 #[test]
-fn a_graph_with_machines_further_inputs_and_programs() {
+fn a_graph_shows_machines_further_inputs_and_programs() {
     let playground = Playground::with_pipeline(
         r#"
 name = "two"
@@ -88,7 +88,7 @@ fn each_node_shows_its_parameters_with_default_and_description() {
 }
 
 #[test]
-fn the_parameters_of_a_node_in_full() {
+fn the_parameters_of_a_node_are_described_in_full() {
     let expected = r#"console_sink: Shows ellipses, objects or tracks as text on standard output
 
 input   tracks | objects | ellipses
@@ -109,7 +109,7 @@ period_s = 0.0   (0.0 to 3600.0)
 }
 
 #[test]
-fn nodes_that_do_not_exist_are_told_with_a_suggestion() {
+fn unknown_nodes_are_refused_with_a_suggestion() {
     let playground = Playground::new();
     let ended = playground.conicflow(&["nodes", "kalman_traker"]).expect_code(2);
     let expected = "error: there is no node `kalman_traker`\n  hint: did you mean `kalman_tracker`?\n";
@@ -134,7 +134,7 @@ fn help_names_the_commands() {
 #[test]
 fn wrong_arguments_are_refused() {
     let playground = Playground::with_pipeline(TRACKING);
-    for (arguments, told) in [
+    for (arguments, expected) in [
         (&["walk"][..], "unrecognized subcommand 'walk'"),
         (&["graph", "--log", "debgu"], "`debgu` is no level\n  hint: error, warn, info, debug or trace"),
         (&["run", "--frames", "0"], "invalid value '0' for '--frames <N>'"),
@@ -143,14 +143,14 @@ fn wrong_arguments_are_refused() {
         (&["node", "sourc"], "there is no stage `sourc` in this pipeline\n  hint: "),
     ] {
         let ended = playground.conicflow(arguments).expect_code(2);
-        assert!(ended.stderr.contains(told), "{arguments:?}: {}", ended.stderr);
+        assert!(ended.stderr.contains(expected), "{arguments:?}: {}", ended.stderr);
     }
 }
 
 /// What was begun and could not be printed, since the disk is full, is no fault of the arguments; that nobody reads on is
 /// no fault at all.
 #[test]
-fn output_that_goes_nowhere() {
+fn a_closed_or_full_output_ends_a_command() {
     let playground = Playground::new();
     for arguments in
         [&["graph"][..], &["nodes"], &["nodes", "follower"], &["validate"], &["doctor"], &["top", "--once"]]
@@ -158,15 +158,15 @@ fn output_that_goes_nowhere() {
         let (reader, writer) = std::io::pipe().unwrap();
         drop(reader);
         let ended = playground.command(arguments).stdout(writer).stderr(Stdio::piped()).output().unwrap();
-        let told = String::from_utf8_lossy(&ended.stderr);
-        assert!(ended.status.success() && told.is_empty(), "{arguments:?}: {told}");
+        let log = String::from_utf8_lossy(&ended.stderr);
+        assert!(ended.status.success() && log.is_empty(), "{arguments:?}: {log}");
         let Ok(full) = File::options().write(true).open("/dev/full") else {
             eprintln!("skipped: this system has no /dev/full");
             continue;
         };
         let ended = playground.command(arguments).stdout(full).stderr(Stdio::piped()).output().unwrap();
-        let told = String::from_utf8_lossy(&ended.stderr);
-        assert!(ended.status.code() == Some(1) && told.contains("No space left on device"), "{arguments:?}: {told}");
+        let log = String::from_utf8_lossy(&ended.stderr);
+        assert!(ended.status.code() == Some(1) && log.contains("No space left on device"), "{arguments:?}: {log}");
     }
 }
 
@@ -195,7 +195,7 @@ fn machines_have_to_be_chosen() {
         "{}",
         ended.stderr
     );
-    for (arguments, told) in [
+    for (arguments, expected) in [
         (&["node", "json"][..], "the pipeline spans the machines `base`, `robot`\n  hint: "),
         (&["node", "json", "--machine", "robt"], "there is no machine `robt` in the pipeline\n  hint: "),
         (
@@ -204,7 +204,7 @@ fn machines_have_to_be_chosen() {
         ),
     ] {
         let ended = playground.conicflow(arguments).expect_code(2);
-        assert!(ended.stderr.starts_with(&format!("error: {told}")), "{arguments:?}: {}", ended.stderr);
+        assert!(ended.stderr.starts_with(&format!("error: {expected}")), "{arguments:?}: {}", ended.stderr);
     }
     playground.conicflow(&["run", "--machine", "robot", "--frames", "3"]).expect_code(0);
     assert_eq!(playground.sequences("tracks.jsonl"), [0, 1, 2]);
@@ -236,6 +236,6 @@ fn another_validator_names_the_fault() {
     let mut command = Command::new(python);
     command.arg(root.join("tests/end_to_end/schema.py")).arg(playground.path("schema.json"));
     command.arg(root.join("pipeline.toml")).args(of("examples")).args(of("experiments"));
-    let told = Started::new(command).wait().expect_code(0).stdout;
-    assert!(told.ends_with(" files\n"), "{told}");
+    let output = Started::new(command).wait().expect_code(0).stdout;
+    assert!(output.ends_with(" files\n"), "{output}");
 }

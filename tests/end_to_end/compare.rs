@@ -35,7 +35,7 @@ fn sum(compared: &Json, column: &str) -> u64 {
 }
 
 #[test]
-fn the_same_variant_under_another_name_is_the_same_to_the_bit() {
+fn the_same_variant_under_another_name_is_identical_bit_for_bit() {
     let playground = Playground::with_pipeline(&simulated());
     let compared = compared(&playground, &["--b", "extractor.scan=both"]);
     assert_eq!((compared["frames"].as_u64(), compared["same_frames"].as_u64()), (Some(8), Some(8)));
@@ -47,7 +47,7 @@ fn the_same_variant_under_another_name_is_the_same_to_the_bit() {
 }
 
 #[test]
-fn the_paper_s_way_differs_and_both_are_scored_as_an_evaluation_sink_scores_them() {
+fn the_papers_method_differs_and_both_are_scored_as_by_an_evaluation_sink() {
     let playground = Playground::with_pipeline(&simulated());
     let compared = compared(&playground, &[&["--a"], &PAPER[..], &["--b", "extractor.scan=rows"]].concat());
     assert_eq!(compared["same_frames"], 0);
@@ -97,8 +97,8 @@ fn both_recordings_are_shown_together_and_matched_as_they_were_compared() {
     let playground = Playground::with_pipeline(&simulated());
     let compared = compared(&playground, &[&["--record", "kept", "--a"], &PAPER[..]].concat());
     let page = Page::open(&playground, &["kept/a.mcap", "kept/b.mcap"]);
-    page.wish(&json!({ "do": "pause" }));
-    page.wish(&json!({ "do": "seek", "at_s": 0.0 }));
+    page.send_command(&json!({ "do": "pause" }));
+    page.send_command(&json!({ "do": "seek", "at_s": 0.0 }));
     let (mut both, mut alone) = (0, [0, 0]);
     for sequence in 0..8 {
         let is_it = |json: &Json| json["frame"]["sequence"] == sequence && json["player"]["plays"] == false;
@@ -115,7 +115,7 @@ fn both_recordings_are_shown_together_and_matched_as_they_were_compared() {
         for (count, variant) in alone.iter_mut().zip(["a", "b"]) {
             *count += found.iter().filter(|item| item["variant"] == variant && !paired(item)).count() as u64;
         }
-        page.wish(&json!({ "do": "step", "by": 1 }));
+        page.send_command(&json!({ "do": "step", "by": 1 }));
     }
     let of_other_kind: u64 =
         compared["other_kind"].as_array().unwrap().iter().map(|row| row["times"].as_u64().unwrap()).sum();
@@ -131,7 +131,7 @@ fn both_recordings_are_shown_together_and_matched_as_they_were_compared() {
 }
 
 #[test]
-fn tracks_are_compared_where_they_are_asked_for() {
+fn tracks_are_compared_on_request() {
     let playground = Playground::with_pipeline(&simulated());
     let compared = compared(&playground, &["--topic", "tracks", "--b", "tracker.acceleration=9.0"]);
     assert_eq!(compared["topic"], "tracks");
@@ -139,32 +139,32 @@ fn tracks_are_compared_where_they_are_asked_for() {
 }
 
 #[test]
-fn what_is_wrong_is_told_with_the_variant_that_it_is_wrong_in() {
+fn errors_name_the_variant_that_they_are_in() {
     let playground = Playground::with_pipeline(&simulated());
-    let told = |arguments: &[&str], code: i32| {
+    let log = |arguments: &[&str], code: i32| {
         let ended = playground.conicflow(&[&["compare"], arguments].concat()).expect_code(code);
         assert_eq!(ended.stdout, "");
         ended.stderr
     };
-    let wrong_b = told(&["--a", "extractor.scan=rows", "--b", "extractor.scna=rows"], 2);
+    let wrong_b = log(&["--a", "extractor.scan=rows", "--b", "extractor.scna=rows"], 2);
     assert!(
         wrong_b.starts_with("variant b, extractor.scna=rows:\nerror: --set:1:1: ") && wrong_b.contains("`scan`?"),
         "{wrong_b}"
     );
-    let wrong_both = told(&["--set", "extractor.scna=rows", "--b", "extractor.line_step=2"], 2);
+    let wrong_both = log(&["--set", "extractor.scna=rows", "--b", "extractor.line_step=2"], 2);
     assert!(wrong_both.starts_with("error: --set:1:1: unknown key `scna`"), "{wrong_both}");
-    assert!(told(&[], 2).starts_with("error: the variants are the same\n  hint: "));
-    let topic = told(&["--topic", "cones", "--b", "extractor.scan=rows"], 2);
+    assert!(log(&[], 2).starts_with("error: the variants are the same\n  hint: "));
+    let topic = log(&["--topic", "cones", "--b", "extractor.scan=rows"], 2);
     assert!(
         topic.contains("no stage writes objects or tracks to a topic `cones`") && topic.contains("`tracks`"),
         "{topic}"
     );
-    let other_frames = told(&["--b", "source.scene=bouncing_ball"], 2);
+    let other_frames = log(&["--b", "source.scene=bouncing_ball"], 2);
     assert!(other_frames.contains("did not see the same frames: a has frame 0 of `tabletop`"), "{other_frames}");
 }
 
 #[test]
-fn who_ends_it_early_is_told_that_there_is_nothing_to_compare() {
+fn a_comparison_that_is_interrupted_early_reports_that_there_is_nothing_to_compare() {
     let playground = Playground::with_pipeline(&simulated());
     let paced = ["--set", "source.rate_hz=20", "--set", "source.frames=100000"];
     let mut compare = playground.start(&[&["compare", "--b", "extractor.scan=rows"][..], &paced].concat());

@@ -131,8 +131,8 @@ impl Tracer {
     /// A thread, or a process, that stands for the first time: the launcher has just become its program.
     fn begin(&mut self, thread: i32) {
         if thread == self.launcher {
-            let seen = libc::PTRACE_O_TRACEFORK | libc::PTRACE_O_TRACEVFORK | libc::PTRACE_O_TRACECLONE;
-            let options = seen | libc::PTRACE_O_TRACEEXEC | libc::PTRACE_O_TRACESYSGOOD | libc::PTRACE_O_EXITKILL;
+            let options = libc::PTRACE_O_TRACEFORK | libc::PTRACE_O_TRACEVFORK | libc::PTRACE_O_TRACECLONE;
+            let options = options | libc::PTRACE_O_TRACEEXEC | libc::PTRACE_O_TRACESYSGOOD | libc::PTRACE_O_EXITKILL;
             ptrace(libc::PTRACE_SETOPTIONS, thread, 0, options.cast_unsigned() as usize);
             self.watched = self.stage.is_none().then_some(thread);
         }
@@ -199,7 +199,7 @@ fn kill_at_points(who: &str, mut run: impl FnMut(Option<usize>) -> Option<usize>
 }
 
 #[test]
-fn a_process_may_be_killed_before_any_call_by_which_it_shares_something() {
+fn a_process_may_be_killed_before_any_call_that_changes_a_shared_resource() {
     let playground = Playground::with_pipeline(FINDING);
     let prefix = prefix(&playground);
     let before = files(&playground, &prefix);
@@ -224,7 +224,7 @@ fn a_process_may_be_killed_before_any_call_by_which_it_shares_something() {
 }
 
 #[test]
-fn a_bridge_may_be_killed_before_any_call_by_which_it_shares_something() {
+fn a_bridge_may_be_killed_before_any_call_that_changes_a_shared_resource() {
     let endpoint = loopback();
     let [robot, base] = machines(&finding_apart(&endpoint));
     for (machines, names) in [([&robot, &base], ["robot", "base"]), ([&base, &robot], ["base", "robot"])] {
@@ -233,8 +233,8 @@ fn a_bridge_may_be_killed_before_any_call_by_which_it_shares_something() {
             let arguments = names.map(|name| [&RUN[..], &["--machine", name]].concat());
             let other = machines[1].start(&arguments[1]);
             let (ended, calls) = traced(machines[0], &arguments[0], Some("bridge"), point)?;
-            let told = [ended, other.wait()].map(|ended| ended.expect_code(0).stderr);
-            assert!(base.sequences("tracks.jsonl").into_iter().eq(0..FRAMES), "{told:?}");
+            let logs = [ended, other.wait()].map(|ended| ended.expect_code(0).stderr);
+            assert!(base.sequences("tracks.jsonl").into_iter().eq(0..FRAMES), "{logs:?}");
             for machine in machines {
                 wait_until("all processes are gone", || machine.processes().is_empty());
                 assert_eq!(files_in_shared_memory(&shared_prefix(machine)), [""; 0]);

@@ -28,7 +28,7 @@ fn results(text: &str) -> Vec<Json> {
 }
 
 #[test]
-fn detect_finds_what_the_pipeline_finds_to_the_bit() {
+fn detect_finds_what_the_pipeline_finds_bit_for_bit() {
     let playground = Playground::with_pipeline(&RECORDING.replace("noise   = \"ideal\"\n", ""));
     let camera = record(&playground, 12);
     playground.conicflow(&["run", "--quiet"]).expect_code(0);
@@ -38,42 +38,42 @@ fn detect_finds_what_the_pipeline_finds_to_the_bit() {
     assert_eq!(detected.len(), 12);
     // The stamps follow `rate_hz`; of what nobody paces they are those of 30 frames per second in both.
     assert_eq!(detected, piped);
-    let told = playground.conicflow(&["detect", "frames", "--camera", &camera, "--out", "-"]).expect_code(0);
-    assert_eq!(results(&told.stdout), detected);
+    let printed = playground.conicflow(&["detect", "frames", "--camera", &camera, "--out", "-"]).expect_code(0);
+    assert_eq!(results(&printed.stdout), detected);
     assert!(!playground.path("-").exists());
     let objects: usize = detected.iter().map(|line| line["objects"].as_array().unwrap().len()).sum();
     assert!(objects >= 12, "{objects} objects in 12 frames");
-    ended.expect_told(&["in 12 frames: ", "cylinder"]);
+    ended.expect_texts(&["in 12 frames: ", "cylinder"]);
 }
 
 #[test]
-fn what_says_how_to_draw_wants_something_to_be_drawn() {
+fn options_for_pictures_are_refused_without_pictures() {
     let playground = Playground::new();
     let camera = record(&playground, 2);
     for how in [["--zoom", "2"], ["--every", "2"], ["--moving-width", "100"], ["--sheet", "2"]] {
         let ended = playground.conicflow(&[&["detect", "frames", "--camera", &camera], &how[..]].concat());
-        ended.expect_code(2).expect_told(&["the following required arguments were not provided"]);
+        ended.expect_code(2).expect_texts(&["the following required arguments were not provided"]);
     }
     let gif = playground.conicflow(&["detect", "frames", "--camera", &camera, "--moving", "m.gif"]).expect_code(2);
-    gif.expect_told(&["`m.gif` will be a PNG that moves (APNG)\n  hint: name it `m.png`"]);
+    gif.expect_texts(&["`m.gif` will be a PNG that moves (APNG)\n  hint: name it `m.png`"]);
 }
 
 #[test]
-fn frames_that_lie_deeper_and_links_that_lead_nowhere_are_told_of() {
+fn frames_in_deeper_folders_and_broken_links_are_reported() {
     let playground = Playground::new();
     fs::create_dir_all(playground.path("nest/seq")).unwrap();
     std::os::unix::fs::symlink("/nowhere/seq", playground.path("nest/next")).unwrap();
-    playground.conicflow(&["detect", "nest"]).expect_code(2).expect_told(&[
+    playground.conicflow(&["detect", "nest"]).expect_code(2).expect_texts(&[
         "and no other files; 1 folders are in it, such as `seq`: name that which has them; 1 links lead nowhere",
     ]);
     let taken_for_a_file = playground.conicflow(&["run", "nest"]).expect_code(2);
-    taken_for_a_file.expect_told(&["hint: `conicflow detect` takes frames and recordings"]);
+    taken_for_a_file.expect_texts(&["hint: `conicflow detect` takes frames and recordings"]);
     std::os::unix::fs::symlink("/nowhere/1.png", playground.path("nest/1.png")).unwrap();
-    playground.conicflow(&["detect", "nest"]).expect_code(2).expect_told(&["1.png`: a link that leads nowhere"]);
+    playground.conicflow(&["detect", "nest"]).expect_code(2).expect_texts(&["1.png`: a link that leads nowhere"]);
 }
 
 #[test]
-fn results_and_pictures_go_where_they_are_asked_for() {
+fn results_and_pictures_are_written_to_the_requested_places() {
     let playground = Playground::new();
     let camera = record(&playground, 2);
     let what = ["detect", "frames/1.png", "--camera", &camera, "--noise", "kinect_v1", "--scale", "0.001"];
@@ -87,7 +87,7 @@ fn results_and_pictures_go_where_they_are_asked_for() {
 }
 
 #[test]
-fn a_moving_picture_is_of_every_second_frame_and_small() {
+fn a_moving_picture_is_small_and_shows_every_second_frame() {
     let playground = Playground::new();
     let camera = record_scene(&playground, "tilted_cones", 6);
     let what =
@@ -108,7 +108,7 @@ fn a_moving_picture_is_of_every_second_frame_and_small() {
 }
 
 #[test]
-fn a_frame_that_shows_nothing_has_a_line_and_why() {
+fn a_frame_without_objects_has_a_line_and_a_reason() {
     let playground = Playground::new();
     fs::create_dir(playground.path("frames")).unwrap();
     playground.write_depth_png("frames/wall.png", 320, &[2000; 320 * 240]);
@@ -120,7 +120,7 @@ fn a_frame_that_shows_nothing_has_a_line_and_why() {
 }
 
 #[test]
-fn what_cannot_be_detected_in_is_an_error_with_a_hint() {
+fn an_input_without_frames_is_an_error_with_a_hint() {
     let playground = Playground::new();
     playground.record(Scene::built_in("tabletop").unwrap().unwrap(), 5, 1);
     for name in ["pipe.png", "pipe.mcap"] {

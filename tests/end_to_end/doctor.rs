@@ -42,7 +42,7 @@ fn working(memory: &OwnSharedMemory, playground: &Playground) -> Started {
 }
 
 #[test]
-fn a_machine_with_which_nothing_is_wrong_is_left_as_it_was() {
+fn doctor_changes_nothing_on_a_machine_without_faults() {
     let Some(memory) = OwnSharedMemory::new("64m") else { return };
     let playground = tracking();
     let ended = memory.conicflow(&playground, &["doctor"]).expect_code(0);
@@ -52,7 +52,7 @@ fn a_machine_with_which_nothing_is_wrong_is_left_as_it_was() {
 }
 
 #[test]
-fn what_a_killed_run_has_left_is_found_and_removed() {
+fn the_remains_of_a_killed_run_are_found_and_removed() {
     let Some(memory) = OwnSharedMemory::new("64m") else { return };
     let playground = tracking();
     kill_all(working(&memory, &playground));
@@ -68,7 +68,7 @@ fn what_a_killed_run_has_left_is_found_and_removed() {
 }
 
 #[test]
-fn what_no_run_would_find_any_more_is_removed_and_what_lives_is_not() {
+fn remains_that_no_run_would_find_are_removed_and_files_of_live_runs_are_not() {
     let Some(memory) = OwnSharedMemory::new("64m") else { return };
     let (dead, living) = (tracking(), tracking());
     kill_all(working(&memory, &dead));
@@ -97,7 +97,7 @@ fn what_no_run_would_find_any_more_is_removed_and_what_lives_is_not() {
 }
 
 #[test]
-fn a_run_finds_its_way_when_doctor_was_there_before_it() {
+fn a_run_works_after_doctor() {
     let Some(memory) = OwnSharedMemory::new("64m") else { return };
     let (playground, other) = (tracking(), tracking());
     kill_all(working(&memory, &playground));
@@ -115,7 +115,7 @@ fn a_run_for_which_shared_memory_is_too_small_does_not_begin() {
     let wide = ["--set", "source.width=1280", "--set", "source.height=720", "--set", "source.rate_hz=0"];
     let ended = memory.conicflow(&playground, &[&["run"], &wide[..]].concat()).expect_code(2);
     assert!(ended.stderr.starts_with("error: shared memory has 8."), "{}", ended.stderr);
-    ended.expect_told(&["most of it for the topic `depth`\n  hint: ", "`--shm-size=16m`"]);
+    ended.expect_texts(&["most of it for the topic `depth`\n  hint: ", "`--shm-size=16m`"]);
     assert!(!playground.path("tracks.jsonl").exists(), "no stage was started");
     let found = memory.conicflow(&playground, &[&["doctor"], &wide[..]].concat()).expect_code(1);
     assert!(found.stdout.starts_with("problem: shared memory has 8."), "{}", found.stdout);
@@ -132,10 +132,10 @@ fn a_run_for_which_shared_memory_is_just_large_enough_works() {
 }
 
 /// Runs `conicflow` as one whose shell said something first.
-fn after(playground: &Playground, said: &str, arguments: &[&str]) -> Ended {
+fn after(playground: &Playground, command_before: &str, arguments: &[&str]) -> Ended {
     let program = playground.command(&[]).get_program().to_owned();
     let mut shell = Command::new("sh");
-    shell.args(["-c", &format!("{said} && exec \"$0\" \"$@\"")]).arg(program).args(arguments);
+    shell.args(["-c", &format!("{command_before} && exec \"$0\" \"$@\"")]).arg(program).args(arguments);
     shell.current_dir(playground.path("")).env("CONICFLOW_RUNTIME_DIR", playground.runtime()).stdin(Stdio::null());
     Started::new(shell).wait()
 }
@@ -145,7 +145,7 @@ fn a_run_that_would_need_more_open_files_than_it_may_have_does_not_begin() {
     let playground = Playground::with_pipeline(TRACKING);
     let ended = after(&playground, "ulimit -n 40", &["run", "--frames", "3"]).expect_code(2);
     assert!(ended.stderr.starts_with("error: a process may have 40 files open, one of"), "{}", ended.stderr);
-    ended.expect_told(&["\n  hint: `ulimit -n "]);
+    ended.expect_texts(&["\n  hint: `ulimit -n "]);
     // With these it cannot even look into shared memory.
     let ended = after(&playground, "ulimit -n 10", &["run", "--frames", "3"]).expect_code(2);
     assert!(ended.stderr.starts_with("error: a process may have 10 files open, one of"), "{}", ended.stderr);
@@ -154,13 +154,13 @@ fn a_run_that_would_need_more_open_files_than_it_may_have_does_not_begin() {
 }
 
 #[test]
-fn a_port_that_is_taken_is_told_with_the_machine_that_needs_it() {
+fn a_port_that_is_taken_is_reported_with_the_machine_that_needs_it() {
     let endpoint = loopback();
     let holder = TcpListener::bind(&endpoint["tcp/".len()..]).unwrap();
     let playground = Playground::with_pipeline(&apart(&endpoint, &endpoint));
-    let told = format!("problem: machine `robot` cannot listen on `{endpoint}`: Address already in use");
+    let report = format!("problem: machine `robot` cannot listen on `{endpoint}`: Address already in use");
     let found = playground.conicflow(&["doctor"]).expect_code(1);
-    assert!(found.stdout.contains(&told), "{}", found.stdout);
+    assert!(found.stdout.contains(&report), "{}", found.stdout);
     let found = playground.conicflow(&["doctor", "--machine", "base"]);
     assert!(!found.stdout.contains("cannot listen"), "{}", found.stdout);
     drop(holder);
@@ -169,14 +169,14 @@ fn a_port_that_is_taken_is_told_with_the_machine_that_needs_it() {
 }
 
 #[test]
-fn a_runtime_folder_that_cannot_be_used_is_told_by_doctor_and_run_alike() {
+fn an_unusable_runtime_folder_is_reported_by_doctor_and_by_run() {
     let playground = Playground::with_pipeline(TRACKING);
     let (file, open) = (playground.path("file"), playground.path("open"));
     let long = playground.path(&"long".repeat(20));
     fs::write(&file, "").unwrap();
     fs::create_dir(&open).unwrap();
     fs::set_permissions(&open, PermissionsExt::from_mode(0o755)).unwrap();
-    for (folder, told) in [
+    for (folder, expected) in [
         (file, "hint: set CONICFLOW_RUNTIME_DIR to a short path that this user may write to"),
         (open, "is open to others\n  hint: `chmod 700` it, or set CONICFLOW_RUNTIME_DIR"),
         (long, "shared memory can use 48 at most\n  hint: set CONICFLOW_RUNTIME_DIR to a shorter path"),
@@ -187,13 +187,13 @@ fn a_runtime_folder_that_cannot_be_used_is_told_by_doctor_and_run_alike() {
             Started::new(command).wait()
         };
         let (doctor, run) = (conicflow(&["doctor"]).expect_code(1), conicflow(&["run"]).expect_code(2));
-        assert!(doctor.stdout.contains(told), "{}", doctor.stdout);
-        run.expect_told(&[told]);
+        assert!(doctor.stdout.contains(expected), "{}", doctor.stdout);
+        run.expect_texts(&[expected]);
     }
 }
 
 #[test]
-fn a_folder_in_which_another_user_may_not_write_is_told() {
+fn a_runtime_folder_without_write_permission_is_reported() {
     let playground = Playground::with_pipeline(TRACKING);
     for arguments in [["doctor"], ["run"]] {
         let inner = playground.command(&arguments);
@@ -206,14 +206,17 @@ fn a_folder_in_which_another_user_may_not_write_is_told() {
             return;
         }
         let ended = Started::new(command).wait();
-        let told = format!("{}{}", ended.stdout, ended.stderr);
-        assert!(ended.code == Some(if arguments == ["run"] { 2 } else { 1 }), "{told}");
-        assert!(told.contains("/folder: Permission denied (os error 13)\n  hint: set CONICFLOW_RUNTIME_DIR"), "{told}");
+        let output = format!("{}{}", ended.stdout, ended.stderr);
+        assert!(ended.code == Some(if arguments == ["run"] { 2 } else { 1 }), "{output}");
+        assert!(
+            output.contains("/folder: Permission denied (os error 13)\n  hint: set CONICFLOW_RUNTIME_DIR"),
+            "{output}"
+        );
     }
 }
 
 #[test]
-fn what_another_user_has_left_is_in_nobodys_way_and_stays() {
+fn the_remains_of_another_user_disturb_no_run_and_are_kept() {
     let Some(memory) = OwnSharedMemory::new("64m") else { return };
     let (playground, theirs) = (tracking(), tracking());
     // Their user has to reach the program and the file as well.
@@ -247,14 +250,14 @@ fn what_another_user_has_left_is_in_nobodys_way_and_stays() {
     {
         let mut ours = playground.command(arguments);
         ours.env("CONICFLOW_RUNTIME_DIR", theirs.runtime());
-        let told = Started::new(ours).wait().expect_code(2).stderr;
+        let log = Started::new(ours).wait().expect_code(2).stderr;
         let expected = "belongs to another user\n  hint: do this as that user (`sudo -u '#65534' ...`)";
-        assert!(told.contains(expected), "{arguments:?}: {told}");
+        assert!(log.contains(expected), "{arguments:?}: {log}");
     }
 }
 
 #[test]
-fn a_stage_without_its_launcher_is_told() {
+fn a_stage_without_its_launcher_is_reported() {
     let playground = Playground::with_pipeline(TRACKING);
     // Whoever is not started by the launcher that its environment names has lost it.
     let mut command = Command::new("sleep");
@@ -262,9 +265,9 @@ fn a_stage_without_its_launcher_is_told() {
     command.envs([("CONICFLOW_PIPELINE", "tracking"), ("CONICFLOW_STAGE", "lonely"), ("CONICFLOW_LAUNCHER", "1")]);
     let orphan = Started::new(command);
     let found = playground.conicflow(&["doctor"]).expect_code(1);
-    let told =
+    let report =
         format!("stage `lonely` of pipeline `tracking` runs on without its launcher, as process {}", orphan.id());
-    assert!(found.stdout.contains(&told), "{}", found.stdout);
+    assert!(found.stdout.contains(&report), "{}", found.stdout);
 }
 
 #[test]
@@ -274,7 +277,7 @@ fn a_stage_that_finds_shared_memory_full_is_named_and_comes_back_when_there_is_r
     let mut run = working(&memory, &playground);
     let filler = memory.folder().join("filler");
     // It may find too little at once, or lose it to the others while it makes its ports.
-    let told = ["shared memory has ", " was killed by SIGBUS: shared memory is full"];
+    let reports = ["shared memory has ", " was killed by SIGBUS: shared memory is full"];
     let mut delivered = 0;
     wait_until("the cause is named", || {
         let mut file = File::options().append(true).create(true).open(&filler).unwrap();
@@ -285,7 +288,7 @@ fn a_stage_that_finds_shared_memory_full_is_named_and_comes_back_when_there_is_r
             delivered = lines + 3;
             signal(*source, Signal::KILL);
         }
-        told.iter().any(|told| run.stderr().contains(told))
+        reports.iter().any(|report| run.stderr().contains(report))
     });
     fs::remove_file(&filler).unwrap();
     wait_for_lines(&mut run, &playground);

@@ -197,7 +197,7 @@ fn lying_pipes_need_columns() {
 }
 
 #[test]
-fn a_ball_is_told_from_the_can_below_it() {
+fn a_ball_is_distinguished_from_the_can_below_it() {
     let table = Table::of("ball_on_cylinder", &[], 8);
     for (object, radius) in [("ball", 0.12), ("can", 0.15)] {
         let cell = |method, column| table.number(&[("method", method), ("object", object)], column);
@@ -237,7 +237,7 @@ fn the_same_file_gives_the_same_table() {
 fn a_wrong_experiment_is_refused() {
     let playground = playground("accuracy", &[("source.values.distance", "source.values.distanse")]);
     let ended = playground.conicflow(&["validate", "accuracy.toml"]).expect_code(2);
-    ended.expect_told(&["the scene has no value `distanse`"]);
+    ended.expect_texts(&["the scene has no value `distanse`"]);
     let playground = self::playground("accuracy", &[]);
     for command in ["validate", "run"] {
         let ended = playground.conicflow(&[command, "accuracy.toml", "--set", "source.values.distance=2"]);
@@ -254,25 +254,25 @@ fn a_wrong_experiment_is_refused() {
     }
     let playground = self::playground("accuracy", &[("name = \"distance\"", "name = \"n\"")]);
     let ended = playground.conicflow(&["validate", "accuracy.toml"]).expect_code(2);
-    ended.expect_told(&["`vary` has the name `n`, as a column has that is measured"]);
+    ended.expect_texts(&["`vary` has the name `n`, as a column has that is measured"]);
 }
 
 #[test]
-fn results_that_cannot_be_written_are_told_before_anything_is_measured() {
+fn results_that_cannot_be_written_are_reported_before_anything_is_measured() {
     let playground = playground("accuracy", &[]);
     fs::write(playground.path("results"), "no folder").unwrap();
     let ended = playground.conicflow(&["run", "accuracy.toml"]).expect_code(2);
-    ended.expect_told(&["cannot write `", "results/accuracy.csv`: ", "a part of the path before the last is a file"]);
+    ended.expect_texts(&["cannot write `", "results/accuracy.csv`: ", "a part of the path before the last is a file"]);
     assert!(!ended.stderr.contains("run 1 of"), "{}", ended.stderr);
 }
 
 /// To start the evaluation anew would not help.
 #[test]
-fn a_run_of_frames_whose_truth_nobody_told_ends_at_the_first_of_them() {
+fn a_run_ends_at_the_first_frame_without_a_truth() {
     let playground = playground("recording", &[]);
     playground.record_with_camera(Scene::built_in("tabletop").unwrap().unwrap(), 5, 3);
     let ended = playground.conicflow(&["run", "recording.toml", "--set", "source.path=frames"]).expect_code(1);
-    ended.expect_told(&["the truth of the frames of `0.png` is not known", "`truth` the truth file of a recording"]);
+    ended.expect_texts(&["the truth of the frames of `0.png` is not known", "`truth` the truth file of a recording"]);
     assert_eq!(ended.stage("evaluation").starts, 1, "{}", ended.stderr);
 }
 
@@ -285,7 +285,7 @@ fn an_experiment_that_is_ended_from_outside_shows_the_runs_before() {
     run.wait_for_text("run 3 of 4");
     signal(run.id(), Signal::INT);
     let ended = run.wait().expect_code(1);
-    ended.expect_told(&["was ended from outside", "the tables and files have the first 2 of 4 runs"]);
+    ended.expect_texts(&["was ended from outside", "the tables and files have the first 2 of 4 runs"]);
     let rows = playground.lines("results/accuracy.csv");
     assert!(rows.len() == 5 && rows[1..].iter().all(|row| row.starts_with("2,")), "{rows:?}");
 }
@@ -312,7 +312,7 @@ fn crossing_balls_keep_their_identities() {
 }
 
 #[test]
-fn a_bouncing_ball_is_one_ball_near_its_true_way() {
+fn a_bouncing_ball_is_one_track_near_its_true_path() {
     let table = Table::of("bouncing_ball", &[], 110);
     let cell = |column| table.number(&[("stage", "filtered")], column);
     assert_eq!((cell("identities"), cell("switches")), (1.0, 0.0));
@@ -330,11 +330,11 @@ fn record(playground: &Playground, scene: &str, frames: u64) {
 
 /// What fails at the end is told once: the stage is not started anew, where it could only miss what it had seen.
 #[test]
-fn a_recording_that_is_too_short_for_the_noise_is_told_once() {
+fn a_recording_that_is_too_short_to_measure_the_noise_is_reported_once() {
     let playground = playground("noise", &[]);
     record(&playground, "scenes/basic.toml", 3);
     let ended = playground.conicflow(&["run", "noise.toml", "--set", "source.path=frames"]).expect_code(1);
-    ended.expect_told(&[
+    ended.expect_texts(&[
         "the recording has 3 frames, but a static scene needs",
         "stage `estimator` failed at the end of its work",
     ]);
@@ -367,7 +367,7 @@ fn an_experiment_takes_recorded_frames() {
 
 /// Of recorded frames, too, the summary counts what was missed and what was wrong, and the details tell it.
 #[test]
-fn what_is_wrong_about_recorded_frames_is_counted_and_told() {
+fn faults_of_recorded_frames_are_counted_and_reported() {
     let playground = playground("recording", &[]);
     record(&playground, "scenes/basic.toml", 2);
     let balloon = r#"{"type": "sphere", "what": "balloon", "radius_m": 0.1, "centre_m": [0, -0.5, 1]}"#;

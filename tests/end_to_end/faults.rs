@@ -46,10 +46,11 @@ fn expect_two_deaths_each(run: Started, playground: &Playground, frames: u64) ->
     let lost = ended.input("objects", "faulty");
     assert_eq!((lost.dropped, lost.gaps), (frames, frames), "{}", ended.stderr);
     for frame in 20..20 + frames {
-        let told = format!("stage `faulty` leaves out frame {frame} of topic `objects`, which it has died of 2 times");
-        assert_eq!(ended.stderr.matches(&told).count(), 1, "{told}: {}", ended.stderr);
+        let report =
+            format!("stage `faulty` leaves out frame {frame} of topic `objects`, which it has died of 2 times");
+        assert_eq!(ended.stderr.matches(&report).count(), 1, "{report}: {}", ended.stderr);
     }
-    ended.expect_told(&[&format!(
+    ended.expect_texts(&[&format!(
         "not complete: `faulty` lost {frames} of {sent} messages of the lossless topic `objects`"
     )]);
     assert_eq!(ended.input("passed_on", "tracker").gaps, frames, "{}", ended.stderr);
@@ -61,18 +62,18 @@ fn wait_for_frame(run: &mut Started, playground: &Playground, frame: u64) {
 }
 
 #[test]
-fn a_panic_is_told_with_its_frame_and_the_next_one_is_worked_on() {
+fn a_panic_is_reported_with_its_frame_and_the_next_frame_is_processed() {
     let playground = with_faulty_stage("panic_at = 20");
     let mut run = start(&playground);
     wait_for_frame(&mut run, &playground, 40);
-    let told = expect_two_deaths_each(run, &playground, 1);
-    assert!(told.contains("at frame 20: panicked: this frame is too much"), "{told}");
-    assert!(told.contains("stage `faulty` ended with exit code 1, and is started anew"), "{told}");
+    let log = expect_two_deaths_each(run, &playground, 1);
+    assert!(log.contains("at frame 20: panicked: this frame is too much"), "{log}");
+    assert!(log.contains("stage `faulty` ended with exit code 1, and is started anew"), "{log}");
 }
 
 /// What was left out does not come again when the stage dies of what follows.
 #[test]
-fn each_of_two_frames_in_a_row_that_a_stage_dies_of_is_left_out_once() {
+fn each_of_two_successive_frames_that_kill_a_stage_is_left_out_once() {
     let playground = with_faulty_stage("panic_at = 20\npanics_more = 1");
     let mut run = start(&playground);
     wait_for_frame(&mut run, &playground, 40);
@@ -80,23 +81,23 @@ fn each_of_two_frames_in_a_row_that_a_stage_dies_of_is_left_out_once() {
 }
 
 #[test]
-fn a_stage_that_hangs_is_killed_and_started_anew_where_the_file_says_so() {
+fn a_stage_that_hangs_is_killed_and_restarted_if_the_file_says_so() {
     let playground = with_faulty_stage("hang_at = 20\nrestart = { when = \"on_failure\", hang_s = 3 }");
     let mut run = start(&playground);
     wait_for_frame(&mut run, &playground, 40);
-    let told = expect_two_deaths_each(run, &playground, 1);
-    assert!(told.contains("stage `faulty` hangs after 20 messages, "), "{told}");
-    assert!(told.contains("stage `faulty` was killed by signal 9, and is started anew"), "{told}");
+    let log = expect_two_deaths_each(run, &playground, 1);
+    assert!(log.contains("stage `faulty` hangs after 20 messages, "), "{log}");
+    assert!(log.contains("stage `faulty` was killed by signal 9, and is started anew"), "{log}");
 }
 
 #[test]
-fn a_stage_that_stands_still_is_told_of_and_goes_on() {
+fn a_stage_that_is_stopped_is_reported_and_goes_on() {
     let (playground, mut run) = at_work(TRACKING, 50);
     let tracker = stages_of(run.id())["tracker"];
     signal(tracker, Signal::STOP);
     run.wait_until("its silence is seen", || {
-        let seen = playground.top();
-        let stages = seen["stages"].as_array().unwrap();
+        let state = playground.top();
+        let stages = state["stages"].as_array().unwrap();
         let silence = |name: &str| stages.iter().find(|stage| stage["stage"] == name).unwrap()["silent_s"].as_f64();
         // A stage that waits for another is alive.
         silence("tracker") > Some(3.0) && silence("assembler") < Some(2.0)
@@ -107,32 +108,36 @@ fn a_stage_that_stands_still_is_told_of_and_goes_on() {
     wait_for_lines(&mut run, &playground);
     let ended = run.end();
     assert_eq!(ended.stage("tracker").starts, 1, "{}", ended.stderr);
-    ended.expect_told(&["hint: with restart = { when = \"on_failure\", hang_s = 5 }"]);
+    ended.expect_texts(&["hint: with restart = { when = \"on_failure\", hang_s = 5 }"]);
     playground.expect_each_frame(&ended);
 }
 
 #[test]
-fn nonsense_in_shared_memory_is_counted_and_left_out() {
+fn malformed_messages_in_shared_memory_are_counted_and_left_out() {
     let playground = with_faulty_stage("nonsense_at = 20");
     let mut run = start(&playground);
     wait_for_frame(&mut run, &playground, 40);
-    let seen = playground.top();
-    let inputs = seen["inputs"].as_array().unwrap();
+    let state = playground.top();
+    let inputs = state["inputs"].as_array().unwrap();
     let malformed = |name: &str| inputs.iter().find(|input| input["reader"] == name).unwrap()["malformed"].as_u64();
-    assert_eq!((malformed("faulty"), malformed("tracker"), malformed("json")), (Some(0), Some(3), Some(0)), "{seen:#}");
+    assert_eq!(
+        (malformed("faulty"), malformed("tracker"), malformed("json")),
+        (Some(0), Some(3), Some(0)),
+        "{state:#}"
+    );
     signal(run.id(), Signal::INT);
     let ended = run.wait().expect_code(1);
     assert_eq!((ended.stage("faulty").starts, ended.stage("tracker").starts), (1, 1), "{}", ended.stderr);
     let sequences = playground.sequences("tracks.jsonl");
     let made = ended.stage("source").messages;
-    ended.expect_told(&[&format!(
+    ended.expect_texts(&[&format!(
         "not complete: `tracker` lost 3 of {made} messages of the lossless topic `passed_on`, 3 of them because they made no sense"
     )]);
     assert!(sequences.iter().copied().eq((0..20).chain(23..made)), "{sequences:?}");
 }
 
 #[test]
-fn nonsense_does_not_leave_its_machine_and_is_counted_at_the_edge() {
+fn malformed_messages_do_not_leave_their_machine_and_are_counted_at_the_edge() {
     let places = [
         ("source", "robot"),
         ("extractor", "robot"),
@@ -150,21 +155,21 @@ fn nonsense_does_not_leave_its_machine_and_is_counted_at_the_edge() {
     let malformed = |machine: &Playground| top_link(machine)["edges"][0]["malformed"].as_u64();
     runs[0].wait_until("it is counted", || malformed(&robot) == Some(3));
     assert_eq!(malformed(&base), Some(0));
-    let told = "left out a message of topic `passed_on`";
-    assert!(runs[0].stderr().contains(told) && !runs[1].stderr().contains(told), "{}", runs[0].stderr());
+    let report = "left out a message of topic `passed_on`";
+    assert!(runs[0].stderr().contains(report) && !runs[1].stderr().contains(report), "{}", runs[0].stderr());
     signal(runs[0].id(), Signal::INT);
     let [ended, ended_base] = runs.map(|run| run.wait().expect_code(1));
     let made = ended.stage("faulty").messages;
-    ended.expect_told(&[&format!(
+    ended.expect_texts(&[&format!(
         "not complete: machine `base` lost 3 of {made} messages of the lossless topic `passed_on`, 3 of them because they made no sense"
     )]);
-    ended_base.expect_told(&["not complete: `tracker` lost 3 of "]);
+    ended_base.expect_texts(&["not complete: `tracker` lost 3 of "]);
     let sequences = base.sequences("tracks.jsonl");
     assert!(sequences.iter().copied().take(38).eq((0..20).chain(23..41)), "{sequences:?}");
 }
 
 #[test]
-fn a_run_whose_shared_memory_somebody_removes_ends_in_order_and_says_so() {
+fn a_run_whose_shared_memory_is_removed_ends_in_order_and_reports_it() {
     let playground = Playground::with_pipeline(TRACKING);
     let mut run = playground.start(&["run", "--set", "source.rate_hz=100"]);
     wait_for_lines(&mut run, &playground);
@@ -172,14 +177,14 @@ fn a_run_whose_shared_memory_somebody_removes_ends_in_order_and_says_so() {
         std::fs::remove_file(std::path::Path::new("/dev/shm").join(name)).unwrap();
     }
     let ended = run.wait().expect_code(1);
-    let told = "not complete: what its stages share was removed while it went on";
-    assert!(ended.stderr.contains(told) && ended.stderr.contains("RemoveIPC"), "{}", ended.stderr);
+    let report = "not complete: what its stages share was removed while it went on";
+    assert!(ended.stderr.contains(report) && ended.stderr.contains("RemoveIPC"), "{}", ended.stderr);
     let sequences = playground.sequences("tracks.jsonl");
     assert!(sequences.into_iter().eq(0..ended.stage("source").messages), "{}", ended.stderr);
 }
 
 #[test]
-fn a_run_whose_folder_somebody_removes_ends_in_order_and_says_so_also_where_a_stage_dies_then() {
+fn a_run_whose_folder_is_removed_ends_in_order_and_reports_it_even_if_a_stage_dies_then() {
     for dies in [false, true] {
         let playground = Playground::with_pipeline(TRACKING);
         let mut run = playground.start(&["run", "--set", "source.rate_hz=100"]);
@@ -190,7 +195,7 @@ fn a_run_whose_folder_somebody_removes_ends_in_order_and_says_so_also_where_a_st
             signal(tracker, Signal::KILL);
         }
         let ended = run.wait().expect_code(1);
-        ended.expect_told(&[
+        ended.expect_texts(&[
             "ERROR the run ends: its folder `",
             "was removed while it went on\n  hint: systemd removes the folder of a login",
             "not complete: its folder was removed while it went on",
@@ -215,7 +220,7 @@ fn background(playground: &Playground) -> usize {
 }
 
 #[test]
-fn what_a_program_has_started_ends_with_it_however_that_and_the_run_end() {
+fn children_of_a_program_end_with_it_however_the_program_and_the_run_end() {
     let playground = with_program(&in_a_shell("sleep 1000 & sleep 1000 & exec", ""), "");
     let mut run = start(&playground);
     wait_for_frame(&mut run, &playground, 20);
@@ -240,7 +245,7 @@ fn a_program_that_never_joins_is_waited_for_no_longer_than_the_file_says_when_th
     let idle = "\n[stage.idle]\nprogram = [\"sleep\", \"1000\"]\ninput = \"tracks\"\nrestart = { join_s = 15 }\n";
     let playground = Playground::with_pipeline(&format!("{TRACKING}{idle}"));
     let ended = playground.conicflow(&["run", "--frames", "5"]).expect_code(1);
-    ended.expect_told(&[
+    ended.expect_texts(&[
         "the run waits for stage `idle`, which has not joined it: all that write for it have ended",
         "stage `idle` has not joined the run 15 s after its start: nothing can come to it any more",
     ]);
@@ -249,7 +254,7 @@ fn a_program_that_never_joins_is_waited_for_no_longer_than_the_file_says_when_th
 }
 
 #[test]
-fn a_stage_finds_its_run_whatever_its_own_variables_say_of_a_folder_for_it() {
+fn a_stage_finds_its_run_whatever_runtime_folder_its_own_variables_name() {
     let elsewhere = "env = { XDG_RUNTIME_DIR = \"/nowhere\" }\n[stage.tracker]";
     let playground = Playground::with_pipeline(&TRACKING.replace("[stage.tracker]", elsewhere));
     let mut command = playground.command(&["run", "--frames", "5"]);
@@ -259,7 +264,7 @@ fn a_stage_finds_its_run_whatever_its_own_variables_say_of_a_folder_for_it() {
 }
 
 #[test]
-fn a_run_that_is_stopped_as_by_ctrl_z_stands_still_as_a_whole_and_goes_on_as_a_whole() {
+fn a_run_that_is_stopped_by_ctrl_z_stops_and_goes_on_as_a_whole() {
     let (playground, mut run) = at_work(TRACKING, 50);
     let all: Vec<_> = stages_of(run.id()).into_values().chain([run.id()]).collect();
     let are_stopped = |expected: bool| all.iter().all(|process| is_stopped(*process) == expected);
@@ -290,7 +295,7 @@ fn a_program_that_never_joins_a_lossless_topic_is_named_and_ends_the_run() {
     run.wait_until("the program is there", || playground.processes().iter().any(|process| is_sleep(*process)));
     run.wait_for_text("stage `faulty` has not joined the run: `");
     let ended = run.wait().expect_code(1);
-    ended.expect_told(&[
+    ended.expect_texts(&[
         "and topic `objects` waits for it: the run ends if it has not 3 s after its start\n  \
          hint: a program joins by `run_stage`",
         "stage `faulty` has not joined the run 3 s after its start: `",
@@ -305,7 +310,7 @@ fn is_sleep(process: u32) -> bool {
 }
 
 #[test]
-fn a_program_that_loads_for_long_is_named_and_loses_nothing() {
+fn a_program_that_takes_long_to_start_is_named_and_loses_nothing() {
     let playground = with_program(&in_a_shell("sleep 3; exec", ""), "");
     let mut run = start(&playground);
     run.wait_for_text("the run ends if it has not 120 s after its start");
@@ -317,10 +322,10 @@ fn a_program_that_loads_for_long_is_named_and_loses_nothing() {
 
 /// `uv run` does so, too.
 #[test]
-fn a_program_that_another_one_starts_is_refused_with_what_to_do() {
+fn a_program_started_by_another_than_the_launcher_is_refused_with_a_hint() {
     let playground = with_program(&in_a_shell("", "; exit $?"), "");
     let ended = start(&playground).wait().expect_code(1);
-    let told = "error: stage `faulty` was not started by its launcher itself, which would not hear of its end\n  \
+    let error = "error: stage `faulty` was not started by its launcher itself, which would not hear of its end\n  \
                 hint: name the program";
-    ended.expect_told(&[told, "ERROR stage `faulty` could not start: see its error above"]);
+    ended.expect_texts(&[error, "ERROR stage `faulty` could not start: see its error above"]);
 }

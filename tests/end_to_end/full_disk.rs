@@ -13,20 +13,20 @@ const CAMERA: &str = "262.5,262.5,159.5,119.5";
 /// Makes sure that a run ended because of one stage, which said once why and was not started anew.
 fn expect_failed_for_good(ended: Ended, stage: &str, why: &str) -> Ended {
     let ended = ended.expect_code(1);
-    let told = ended.stderr.lines().filter(|line| line.starts_with("error: ") && line.contains(why));
-    assert_eq!(told.count(), 1, "{}", ended.stderr);
+    let errors = ended.stderr.lines().filter(|line| line.starts_with("error: ") && line.contains(why));
+    assert_eq!(errors.count(), 1, "{}", ended.stderr);
     assert!(ended.stderr.contains(&format!("stage `{stage}` failed at the end of its work: see its error above")));
     assert!(!ended.stderr.contains("is started anew"), "{}", ended.stderr);
-    ended.expect_told(&["\nnot complete: a stage was lost, see above"]);
+    ended.expect_texts(&["\nnot complete: a stage was lost, see above"]);
     ended
 }
 
 #[test]
-fn lines_that_find_no_room_end_the_run() {
+fn lines_that_do_not_fit_on_the_disk_end_the_run() {
     let playground = Playground::with_pipeline(TRACKING);
     let ended = playground.conicflow(&["run", "--for", "10min", "--set", "json.path=/dev/full"]);
     let ended = expect_failed_for_good(ended, "json", "cannot write to `/dev/full`: No space left on device");
-    ended.expect_told(&["\n  hint: free some space, or write to another disk\n"]);
+    ended.expect_texts(&["\n  hint: free some space, or write to another disk\n"]);
 }
 
 /// [`TRACKING`] with one more sink, which writes to a disk of its own of this size; what is in it when the run is over, in
@@ -56,12 +56,12 @@ fn with_a_small_disk(size: &str, playground: &Playground, arguments: &[&str]) ->
 }
 
 #[test]
-fn a_disk_that_is_full_holds_whole_lines() {
+fn a_full_disk_holds_only_whole_lines() {
     let playground = Playground::with_pipeline(TRACKING);
     let arguments = ["run", "--for", "10min", "--set", "json.path=disk/tracks.jsonl"];
     let Some(ended) = with_a_small_disk("64k", &playground, &arguments) else { return };
     let ended = expect_failed_for_good(ended, "json", "No space left on device");
-    ended.expect_told(&[": cannot write to `", "\n  hint: free some space, or write to another disk\n"]);
+    ended.expect_texts(&[": cannot write to `", "\n  hint: free some space, or write to another disk\n"]);
     assert!(playground.json_lines("left/tracks.jsonl").len() > 10);
     assert!(fs::read_to_string(playground.path("left/tracks.jsonl")).unwrap().ends_with("}\n"));
 }
@@ -72,14 +72,14 @@ fn names(playground: &Playground) -> Vec<String> {
 }
 
 #[test]
-fn pictures_that_find_no_room_end_the_run_and_those_that_are_there_are_whole() {
+fn pictures_that_do_not_fit_on_the_disk_end_the_run_and_earlier_ones_are_whole() {
     let sink = r#"
 [stage]
 pictures = { node = "picture_sink", input = { topic = "tracks", delivery = "lossless" }, inputs = { depth = "depth" }, path = "disk" }
 "#;
     let Some((playground, ended)) = on_a_small_disk("256k", sink) else { return };
     let ended = expect_failed_for_good(ended, "pictures", "cannot be written: No space left on device");
-    ended.expect_told(&["\n  hint: free some space, or write to another disk\n"]);
+    ended.expect_texts(&["\n  hint: free some space, or write to another disk\n"]);
     let names = names(&playground);
     assert!(!names.is_empty());
     for name in names {
@@ -89,7 +89,7 @@ pictures = { node = "picture_sink", input = { topic = "tracks", delivery = "loss
 }
 
 #[test]
-fn a_recording_that_finds_no_room_ends_the_run_and_holds_what_was_written_before() {
+fn a_recording_that_does_not_fit_on_the_disk_ends_the_run_and_keeps_earlier_messages() {
     let sink = r#"
 [stage]
 recorder = { node = "mcap_sink", input = { topic = "tracks", delivery = "lossless" }, inputs = { depth = "depth" }, path = "disk/run.mcap" }
@@ -102,13 +102,13 @@ recorder = { node = "mcap_sink", input = { topic = "tracks", delivery = "lossles
 }
 
 #[test]
-fn an_onlooker_whose_recording_finds_no_room_says_so_and_the_run_goes_on() {
+fn the_record_command_reports_a_full_disk_and_the_run_goes_on() {
     let (playground, mut run) = at_work(TRACKING, 60);
     let arguments = ["record", "-o", "disk/run.mcap"];
     let Some(recorded) = with_a_small_disk("1m", &playground, &arguments) else { return };
     let recorded = recorded.expect_code(1);
-    let told = recorded.stderr.lines().filter(|line| line.starts_with("error: ") && line.contains("No space left"));
-    assert_eq!(told.count(), 1, "{}", recorded.stderr);
+    let errors = recorded.stderr.lines().filter(|line| line.starts_with("error: ") && line.contains("No space left"));
+    assert_eq!(errors.count(), 1, "{}", recorded.stderr);
     let at = playground.newest("tracks.jsonl");
     run.wait_until("the run goes on", || playground.newest("tracks.jsonl") > at + 60);
     let found = playground.conicflow(&["detect", "left/run.mcap", "--out", "found.jsonl"]).expect_code(0);
@@ -131,21 +131,21 @@ fn detect_in_small_files(playground: &Playground, blocks: u32, arguments: &[&str
 }
 
 /// Makes sure that it ended with 1 and one sentence that says why, with a hint.
-fn expect_told_once(ended: Ended, why: &str, hint: &str) {
+fn expect_reported_once(ended: Ended, why: &str, hint: &str) {
     let ended = ended.expect_code(1);
-    let told = ended.stderr.lines().filter(|line| line.contains(why));
-    assert_eq!(told.count(), 1, "{}", ended.stderr);
-    ended.expect_told(&[&format!("\n  hint: {hint}")]);
+    let reports = ended.stderr.lines().filter(|line| line.contains(why));
+    assert_eq!(reports.count(), 1, "{}", ended.stderr);
+    ended.expect_texts(&[&format!("\n  hint: {hint}")]);
 }
 
 #[test]
-fn what_detect_finds_no_room_for_is_told_and_nothing_half_written_is_left() {
+fn detect_reports_a_full_disk_and_leaves_no_incomplete_file() {
     let playground = Playground::new();
     playground.record(Scene::built_in("tabletop").unwrap().unwrap(), 1, 4);
     let found = playground.conicflow(&["detect", "frames", "--camera", CAMERA]).expect_code(0).stdout;
     let free = "free some space, or write to another disk";
     let full = playground.conicflow(&["detect", "frames", "--camera", CAMERA, "--out", "/dev/full"]);
-    expect_told_once(full, "error: cannot write to `/dev/full`: No space left on device", free);
+    expect_reported_once(full, "error: cannot write to `/dev/full`: No space left on device", free);
 
     // Two lines and a part of the third.
     let ends: Vec<_> = found.match_indices('\n').map(|(at, _)| at + 1).collect();
@@ -153,24 +153,24 @@ fn what_detect_finds_no_room_for_is_told_and_nothing_half_written_is_left() {
     assert!(ends[2] > 512 * blocks as usize, "the third line goes beyond");
     let limited = detect_in_small_files(&playground, blocks, &["--out", "found.jsonl"]);
     let raise = "raise the limit of a file's size (`ulimit -f`), or write less";
-    expect_told_once(limited, "error: cannot write to `found.jsonl`: File too large", raise);
+    expect_reported_once(limited, "error: cannot write to `found.jsonl`: File too large", raise);
     let left = fs::read_to_string(playground.path("found.jsonl")).unwrap();
     assert_eq!((left.lines().count(), left.ends_with('\n')), (2, true), "{left}");
 
     for arguments in [["--moving", "small/moving.png"], ["--pictures", "small"]] {
         fs::create_dir_all(playground.path("small")).unwrap();
         let limited = detect_in_small_files(&playground, 8, &arguments);
-        expect_told_once(limited, "cannot be written: File too large", raise);
+        expect_reported_once(limited, "cannot be written: File too large", raise);
         assert_eq!(fs::read_dir(playground.path("small")).unwrap().count(), 0, "{arguments:?}: something is left");
     }
 }
 
 #[test]
-fn a_comparison_that_finds_no_room_for_its_pictures_says_so() {
+fn a_comparison_reports_that_its_pictures_do_not_fit_on_the_disk() {
     let playground = Playground::with_pipeline(TRACKING);
     let compare = ["compare", "--frames", "3", "--b", "extractor.scan=rows", "--pictures", "disk"];
     let Some(ended) = with_a_small_disk("12k", &playground, &compare) else { return };
-    expect_told_once(ended, "No space left on device", "free some space, or write to another disk");
+    expect_reported_once(ended, "No space left on device", "free some space, or write to another disk");
     assert!(names(&playground).iter().all(|name| name.ends_with(".png")), "{:?}", names(&playground));
 }
 
@@ -189,7 +189,7 @@ fn a_recording_of_which_no_frame_can_be_read_ends_the_run_at_once() {
 }
 
 #[test]
-fn text_from_outside_reaches_a_terminal_written_out_and_short() {
+fn text_from_files_is_escaped_and_shortened_for_a_terminal() {
     let playground = Playground::new();
     fs::create_dir_all(playground.path("frames/depth")).unwrap();
     let long = "x".repeat(20_000_000);

@@ -21,7 +21,7 @@ fn fill(memory: &OwnSharedMemory) {
 }
 
 #[test]
-fn a_run_at_work_goes_on_where_others_fill_shared_memory() {
+fn a_run_goes_on_when_other_programs_fill_shared_memory() {
     let Some(memory) = OwnSharedMemory::new("32m") else { return };
     let playground = Playground::outside_shared_memory().and_pipeline(&pipeline("latest"));
     let mut run = memory.start(&playground, &["run"]);
@@ -58,7 +58,7 @@ restart = "never"
     // Shells die of it in ways of their own.
     let says_of_what = ["was killed by signal ", "ended with exit code "].iter().any(|what| died[0].contains(what));
     assert!(says_of_what && died[0].contains(", and is not started anew: its `restart` is "), "{}", ended.stderr);
-    ended.expect_told(&["not complete: a stage was lost, see above"]);
+    ended.expect_texts(&["not complete: a stage was lost, see above"]);
     assert_eq!(playground.expect_each_frame(&ended), FRAMES);
     for stage in ["source", "extractor", "assembler", "tracker", "json"] {
         assert_eq!(ended.stage(stage).starts, 1, "{}", ended.stderr);

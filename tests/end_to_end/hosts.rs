@@ -172,7 +172,7 @@ fn text() -> String {
 
 /// Pulls the cable under live edges: what was lost is lost, what comes is fresh and comes soon, and the robot feels nothing.
 #[test]
-fn after_an_outage_live_edges_carry_what_is_new() {
+fn after_an_outage_live_edges_carry_new_messages() {
     let Some(hosts) = Hosts::new() else { return };
     let machines = machines(&live(&text()));
     let base = &machines[1];
@@ -220,7 +220,7 @@ pub fn nothing_is_lost(hosts: &Hosts, frames: u64, disturb: impl FnOnce(&Playgro
 }
 
 #[test]
-fn lossless_edges_lose_nothing_to_an_outage() {
+fn lossless_edges_lose_nothing_in_an_outage() {
     let Some(hosts) = Hosts::new() else { return };
     // More than both sides keep while the cable is out.
     const FRAMES: u64 = 200;
@@ -236,7 +236,7 @@ fn lossless_edges_lose_nothing_to_an_outage() {
 }
 
 #[test]
-fn lossless_edges_lose_nothing_to_a_slow_cable_that_drops_packets() {
+fn lossless_edges_lose_nothing_over_a_slow_cable_that_drops_packets() {
     let Some(hosts) = Hosts::new() else { return };
     if !hosts.spoil("50mbit") {
         return;
@@ -245,7 +245,7 @@ fn lossless_edges_lose_nothing_to_a_slow_cable_that_drops_packets() {
 }
 
 #[test]
-fn a_slow_cable_full_of_images_is_not_felt_on_the_robot() {
+fn a_slow_cable_full_of_images_does_not_delay_the_robot() {
     let Some(hosts) = Hosts::new() else { return };
     if !hosts.spoil("0.5mbit") {
         return;

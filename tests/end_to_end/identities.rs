@@ -63,11 +63,11 @@ fn restart_what_comes_before(delivery: &str) {
 }
 
 #[test]
-fn identities_go_on_where_writers_wait() {
+fn identities_are_kept_across_a_restart_on_lossless_topics() {
     restart_what_comes_before("lossless");
 }
 
 #[test]
-fn identities_go_on_where_the_newest_is_wanted() {
+fn identities_are_kept_across_a_restart_with_latest() {
     restart_what_comes_before("latest");
 }

@@ -70,7 +70,7 @@ fn a_machine_of_another_version_is_refused_by_name_and_numbers() {
 }
 
 #[test]
-fn a_machine_with_another_pipeline_file_is_told_what_differs() {
+fn the_report_of_another_pipeline_file_says_what_differs() {
     let endpoint = loopback();
     let [robot, base] = live(&endpoint);
     let mut base_run = start(&base, "base");
@@ -95,8 +95,8 @@ fn both_listening() -> ([Playground; 2], zenoh::Session, [Started; 2]) {
 fn recorded(session: &zenoh::Session, count: usize) -> Vec<(&'static str, Vec<u8>)> {
     let keys = ["conicflow/tracking/robot/ellipses", "conicflow/tracking/@link/robot"];
     let record = |key: &'static str| {
-        let heard = session.declare_subscriber(key).wait().unwrap();
-        (0..count).map(|_| (key, heard.recv().unwrap().payload().to_bytes().into_owned())).collect::<Vec<_>>()
+        let subscriber = session.declare_subscriber(key).wait().unwrap();
+        (0..count).map(|_| (key, subscriber.recv().unwrap().payload().to_bytes().into_owned())).collect::<Vec<_>>()
     };
     keys.into_iter().flat_map(record).collect()
 }
@@ -119,7 +119,7 @@ const NUMBER: std::ops::Range<usize> = 54..62;
 const OLDEST: std::ops::Range<usize> = 62..70;
 
 #[test]
-fn what_is_forged_by_who_has_no_key_passes_nowhere_and_is_told() {
+fn messages_forged_without_the_key_pass_nowhere_and_are_reported() {
     let ([_robot, base], session, mut runs) = both_listening();
     let true_ones = recorded(&session, 3);
     let mut forged = Vec::new();
@@ -143,20 +143,20 @@ fn what_is_forged_by_who_has_no_key_passes_nowhere_and_is_told() {
         edge["malformed"].as_u64().unwrap() > 3
     });
     assert!(edge["lost"].as_u64().unwrap() < 1000, "{edge}");
-    let said = runs[1].stderr();
+    let log = runs[1].stderr();
     for text in [
         "left out a message of topic `ellipses` from machine `robot`: it",
         "refused machine `robot`: its code was not made with the key of this machine\n  hint: are the keys of all",
         "refused machine `robot`: it has no code, and this machine takes only what was made with its key\n  hint: ",
     ] {
-        assert!(said.contains(text), "no `{text}` in: {said}");
+        assert!(log.contains(text), "no `{text}` in: {log}");
     }
     expect_in_order(&base);
     drop(runs.map(Started::end));
 }
 
 #[test]
-fn what_was_sent_before_a_bridge_was_started_anew_does_not_pass_again() {
+fn messages_sent_before_a_bridge_was_restarted_are_refused_when_replayed() {
     let ([robot, base], session, mut runs) = both_listening();
     let old = recorded(&session, 5);
     kill(&robot, "bridge");
@@ -178,7 +178,7 @@ fn what_was_sent_before_a_bridge_was_started_anew_does_not_pass_again() {
 /// Without a key whoever connects can send under the name of a machine. What its bridge cannot have sent is left out, and what
 /// was on its way comes through all the same, each message once.
 #[test]
-fn what_is_forged_where_all_is_believed_takes_nothing_from_a_lossless_edge() {
+fn without_a_key_forged_messages_displace_none_of_a_lossless_edge() {
     let ends = [loopback(), loopback()];
     let text = apart(&ends[0], &ends[0]).replace("rate_hz    = 0", &format!("rate_hz = {}", bridge::LIVE_RATE_HZ));
     let text =
@@ -223,8 +223,8 @@ fn what_is_forged_where_all_is_believed_takes_nothing_from_a_lossless_edge() {
     }
     let edge = top_link(&base)["edges"][0].clone();
     assert!(edge["malformed"].as_u64() > Some(3) && edge["lost"] == 0, "{edge}");
-    let told = "left out a message of topic `ellipses` that machine `robot` has not sent: what followed contradicts it\n  hint: ";
-    assert!(base_run.stderr().contains(told), "{}", base_run.stderr());
+    let report = "left out a message of topic `ellipses` that machine `robot` has not sent: what followed contradicts it\n  hint: ";
+    assert!(base_run.stderr().contains(report), "{}", base_run.stderr());
     let made = robot_run.end().stage("source").messages;
     let ended = base_run.wait().expect_code(0);
     assert!(base.sequences("tracks.jsonl").into_iter().eq(0..made), "{}", ended.stderr);
@@ -232,8 +232,8 @@ fn what_is_forged_where_all_is_believed_takes_nothing_from_a_lossless_edge() {
 
 /// The next message under a key, as it goes over the link.
 fn record(session: &zenoh::Session, key: &str) -> Vec<u8> {
-    let heard = session.declare_subscriber(key).wait().unwrap();
-    heard.recv().unwrap().payload().to_bytes().into_owned()
+    let subscriber = session.declare_subscriber(key).wait().unwrap();
+    subscriber.recv().unwrap().payload().to_bytes().into_owned()
 }
 
 /// A pipeline of two machines with a key.
@@ -245,7 +245,7 @@ fn with_key(text: &str) -> String {
 }
 
 #[test]
-fn machines_with_different_keys_tell_so_and_with_the_same_key_they_meet() {
+fn machines_with_different_keys_report_it_and_machines_with_the_same_key_connect() {
     let endpoint = loopback();
     let [robot, base] = machines(&with_key(&bridge::live(&apart(&endpoint, &endpoint))));
     for machine in [&robot, &base] {
@@ -277,18 +277,18 @@ fn machines_with_different_keys_tell_so_and_with_the_same_key_they_meet() {
 fn a_key_is_made_once_and_refused_where_others_can_read_it() {
     let [robot, _] = machines(&with_key(&apart("tcp/0.0.0.0:7447", "tcp/192.168.0.2:7447")));
     let missing = robot.conicflow(&["validate"]).expect_code(2);
-    missing.expect_told(&["there is no file `", "pair.key`"]);
+    missing.expect_texts(&["there is no file `", "pair.key`"]);
     let made = robot.conicflow(&["key", "pair.key"]).expect_code(0);
     assert!(made.stdout.contains("made `pair.key`: copy it to all machines"), "{}", made.stdout);
     let text = std::fs::read(robot.path("pair.key")).unwrap();
     let again = robot.conicflow(&["key", "pair.key"]).expect_code(2);
-    again.expect_told(&["there is a file `pair.key`, which is left as it is\n  hint: "]);
+    again.expect_texts(&["there is a file `pair.key`, which is left as it is\n  hint: "]);
     assert_eq!(std::fs::read(robot.path("pair.key")).unwrap(), text);
     robot.conicflow(&["validate"]).expect_code(0);
     std::fs::set_permissions(robot.path("pair.key"), std::fs::Permissions::from_mode(0o644)).unwrap();
     for arguments in [&["validate"][..], &["run", "--machine", "robot"]] {
         let refused = robot.conicflow(arguments).expect_code(2);
-        refused.expect_told(&["is open to others, its mode is 644\n", "\n  hint: `chmod 600 "]);
+        refused.expect_texts(&["is open to others, its mode is 644\n", "\n  hint: `chmod 600 "]);
     }
 }
 
@@ -298,5 +298,5 @@ fn a_key_is_for_all_machines_or_for_none() {
     let [robot, _] = machines(&text.replace("[machine.base]\nkey = \"pair.key\"\n", "[machine.base]\n"));
     robot.conicflow(&["key", "pair.key"]).expect_code(0);
     let refused = robot.conicflow(&["validate"]).expect_code(2);
-    refused.expect_told(&["machine `base` has no `key`, but machine `robot` has one"]);
+    refused.expect_texts(&["machine `base` has no `key`, but machine `robot` has one"]);
 }

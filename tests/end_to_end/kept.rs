@@ -58,7 +58,7 @@ fn a_stage_that_is_killed_again_and_again_loses_nothing() {
 }
 
 #[test]
-fn a_sink_and_stages_with_a_memory_get_each_frame_once() {
+fn a_sink_and_stages_with_a_state_get_each_frame_once() {
     let (playground, mut run) = at_work(TRACKING, 100);
     let stages = ["json", "tracker", "extractor", "json", "json"];
     kill_in_turn(&mut run, &stages, || playground.newest("tracks.jsonl"));
@@ -67,7 +67,7 @@ fn a_sink_and_stages_with_a_memory_get_each_frame_once() {
 }
 
 #[test]
-fn what_waits_for_a_stage_that_stands_still_outlives_it_and_the_end_of_the_stream() {
+fn messages_for_a_stopped_stage_are_kept_beyond_its_death_and_the_end_of_the_stream() {
     let (playground, mut run) = at_work(TRACKING, 40);
     run.wait_until("it delivers", || playground.newest("tracks.jsonl") > 20);
     // Once with full queues before it, ...
@@ -105,7 +105,7 @@ fn a_stage_that_is_killed_while_the_run_ends_in_order_still_delivers() {
 }
 
 #[test]
-fn side_inputs_come_again_with_their_frame() {
+fn side_inputs_are_repeated_with_their_frame() {
     let pairing = program("pairing_sink");
     let inputs = "depth = { topic = \"depth\", delivery = \"lossless\" }, \
                   ellipses = { topic = \"ellipses\", delivery = \"lossless\" }";
@@ -130,7 +130,7 @@ fn side_inputs_come_again_with_their_frame() {
 }
 
 #[test]
-fn a_recording_is_read_once_whoever_is_killed() {
+fn a_recording_is_read_once_whichever_process_is_killed() {
     const FRAMES: u64 = 120;
     const RECORDED: u64 = 40;
     let playground = Playground::with_pipeline(RECORDING);

@@ -81,7 +81,7 @@ fn value(samples: &Samples, name: &str, labels: &[(&str, &str)]) -> f64 {
 }
 
 #[test]
-fn they_are_those_of_top_as_an_independent_parser_reads_them() {
+fn metrics_equal_the_counts_of_top_by_an_independent_parser() {
     let playground = Playground::new();
     let (run, host) = run(&playground);
     let before = get(&host);
@@ -95,18 +95,18 @@ fn they_are_those_of_top_as_an_independent_parser_reads_them() {
     let after = parse(&get(&host).text()).unwrap();
 
     // What is counted by one who looks between two others lies between what these have counted.
-    let between = |name: &str, labels: &[(&str, &str)], told: &Json| {
-        let (low, high, told) = (value(&before, name, labels), value(&after, name, labels), told.as_f64().unwrap());
-        assert!(low <= told && told <= high && high > 0.0, "{name} {labels:?}: {low}, {told}, {high}");
+    let between = |name: &str, labels: &[(&str, &str)], shown: &Json| {
+        let (low, high, shown) = (value(&before, name, labels), value(&after, name, labels), shown.as_f64().unwrap());
+        assert!(low <= shown && shown <= high && high > 0.0, "{name} {labels:?}: {low}, {shown}, {high}");
     };
     for (name, stage) in TRACKING_STAGES.iter().zip(top["stages"].as_array().unwrap()) {
         between("conicflow_frames_total", &[("stage", name)], &stage["messages"]);
         assert_eq!(value(&after, "conicflow_restarts_total", &[("stage", name)]), 0.0);
         let node = stage["node"].as_str().unwrap();
         assert_eq!(value(&after, "conicflow_stage_up", &[("stage", name), ("node", node)]), 1.0);
-        let (memory, told) =
+        let (memory, shown) =
             (value(&after, "conicflow_memory_bytes", &[("stage", name)]), stage["memory_mb"].as_f64().unwrap());
-        assert!((0.5..2.0).contains(&(memory / (told * 1e6))), "{name}: {memory}, {told} MB");
+        assert!((0.5..2.0).contains(&(memory / (shown * 1e6))), "{name}: {memory}, {shown} MB");
         let steps = value(&after, "conicflow_step_seconds_bucket", &[("stage", name), ("le", "+Inf")]);
         assert_eq!(steps, value(&after, "conicflow_step_seconds_count", &[("stage", name)]));
         assert!(value(&after, "conicflow_step_seconds_sum", &[("stage", name)]) > 0.0);
@@ -125,20 +125,20 @@ fn they_are_those_of_top_as_an_independent_parser_reads_them() {
         let below = ends.filter(|(_, labels)| labels["le"].parse::<f64>().unwrap() < p50 / 2.0);
         assert!(below.map(|key| after[key].1).fold(0.0, f64::max) < 0.75 * count, "{edge:?}: {p50}");
     }
-    for ((name, labels), (kind, told)) in &before {
+    for ((name, labels), (kind, shown)) in &before {
         let is_counted = kind == "counter" || kind == "histogram";
-        assert!(!is_counted || after[&(name.clone(), labels.clone())].1 >= *told, "{name} {labels:?} has gone down");
+        assert!(!is_counted || after[&(name.clone(), labels.clone())].1 >= *shown, "{name} {labels:?} has gone down");
     }
     run.end();
 }
 
 /// What the dashboard asks Prometheus for is told, and of all that is told it shows the most.
 #[test]
-fn the_dashboard_asks_for_what_there_is() {
+fn the_dashboard_queries_only_existing_metrics() {
     let playground = Playground::new();
     let (_run, host) = run(&playground);
     let text = get(&host).text();
-    let told = text.lines().filter_map(|line| line.strip_prefix("# TYPE ")).flat_map(|line| {
+    let offered = text.lines().filter_map(|line| line.strip_prefix("# TYPE ")).flat_map(|line| {
         let (name, kind) = line.split_once(' ').unwrap();
         let ends = match kind {
             "counter" => &["_total"][..],
@@ -147,21 +147,21 @@ fn the_dashboard_asks_for_what_there_is() {
         };
         ends.iter().map(move |end| format!("{name}{end}"))
     });
-    let told: BTreeSet<_> = told.collect();
+    let offered: BTreeSet<_> = offered.collect();
     let dashboard = include_str!("../../docs/grafana.json");
-    let asked: BTreeSet<_> = dashboard
+    let queried: BTreeSet<_> = dashboard
         .match_indices("conicflow_")
         .map(|(start, _)| {
             dashboard[start..].split(|c: char| !c.is_ascii_alphanumeric() && c != '_').next().unwrap().to_owned()
         })
         .collect();
-    assert!(asked.len() > 10 && asked.is_subset(&told), "{:?} are not told", asked.difference(&told));
+    assert!(queried.len() > 10 && queried.is_subset(&offered), "{:?} are not told", queried.difference(&offered));
     let panels = serde_json::from_str::<Json>(dashboard).unwrap()["panels"].as_array().unwrap().len();
     assert!(panels >= 8, "{panels} panels");
 }
 
 #[test]
-fn nobody_who_asks_slowly_or_wrongly_holds_up_the_run() {
+fn slow_and_malformed_requests_do_not_delay_the_run() {
     let playground = Playground::new();
     let (mut run, host) = run(&playground);
     // Some begin a request and leave it at that, others read no answer.
@@ -194,21 +194,21 @@ fn nobody_who_asks_slowly_or_wrongly_holds_up_the_run() {
 }
 
 #[test]
-fn an_address_that_is_taken_is_told_by_doctor_and_before_anything_starts() {
+fn an_address_that_is_taken_is_reported_by_doctor_and_before_anything_starts() {
     let playground = Playground::new();
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let address = taken.local_addr().unwrap();
     playground.write("pipeline.toml", &TRACKING.replacen("[stage", &format!("metrics = \"{address}\"\n[stage"), 1));
     let ended = playground.conicflow(&["run"]).expect_code(2);
-    let told = format!("`metrics` of the pipeline file: nothing can be offered at {address}: ");
-    ended.expect_told(&[&told, "hint: "]);
+    let report = format!("`metrics` of the pipeline file: nothing can be offered at {address}: ");
+    ended.expect_texts(&[&report, "hint: "]);
     assert!(playground.lines("tracks.jsonl").is_empty());
     let doctor = playground.conicflow(&["doctor"]).expect_code(1);
-    assert!(doctor.stdout.contains(&told), "{}", doctor.stdout);
+    assert!(doctor.stdout.contains(&report), "{}", doctor.stdout);
 }
 
 #[test]
-fn a_token_keeps_others_out_and_without_one_the_network_is_warned_of() {
+fn a_token_is_required_and_a_warning_is_given_without_one() {
     const TOKEN: &str = "a-secret-of-ours";
     let with = |metrics: &str| TRACKING.replacen("[stage", &format!("metrics = {metrics}\n[stage"), 1);
     let playground = Playground::with_pipeline(&with(&format!("{{ listen = \"0.0.0.0:0\", token = \"{TOKEN}\" }}")));
@@ -218,35 +218,35 @@ fn a_token_keeps_others_out_and_without_one_the_network_is_warned_of() {
     run.wait_until("it is at work", || playground.newest("tracks.jsonl") > 2);
     assert_eq!(get(&host).status, 401);
     assert_eq!(get_with(&host, "Authorization: Bearer another-secret\r\n").status, 401);
-    let told = get_with(&host, &format!("Authorization: Bearer {TOKEN}\r\n"));
-    assert!(told.status == 200 && told.text().contains("conicflow_frames_total{"), "{}", told.text());
+    let answer = get_with(&host, &format!("Authorization: Bearer {TOKEN}\r\n"));
+    assert!(answer.status == 200 && answer.text().contains("conicflow_frames_total{"), "{}", answer.text());
     let stderr = run.end().stderr;
     assert!(!stderr.contains(TOKEN) && !stderr.contains("may read the metrics"), "{stderr}");
 
     playground.write("pipeline.toml", &with("\"0.0.0.0:0\""));
     for arguments in [&["validate"][..], &["run", "--frames", "3"]] {
         let ended = playground.conicflow(arguments).expect_code(0);
-        let told = ended.stdout + &ended.stderr;
-        assert!(told.contains("everyone who reaches 0.0.0.0:0 may read the metrics"), "{told}");
-        assert!(told.contains("hint: metrics = { listen = \"0.0.0.0:0\", token = \"..\" }"), "{told}");
+        let output = ended.stdout + &ended.stderr;
+        assert!(output.contains("everyone who reaches 0.0.0.0:0 may read the metrics"), "{output}");
+        assert!(output.contains("hint: metrics = { listen = \"0.0.0.0:0\", token = \"..\" }"), "{output}");
     }
     playground.write("pipeline.toml", &with("{ listen = \"127.0.0.1:0\", token = \"short\" }"));
     for command in ["validate", "run"] {
-        let told = playground.conicflow(&[command]).expect_code(2).stderr;
-        assert!(told.contains("`metrics` of the pipeline file: the token is not at least 12 letters"), "{told}");
+        let errors = playground.conicflow(&[command]).expect_code(2).stderr;
+        assert!(errors.contains("`metrics` of the pipeline file: the token is not at least 12 letters"), "{errors}");
     }
 }
 
 #[test]
-fn each_machine_offers_its_own_where_its_table_says() {
+fn each_machine_serves_its_metrics_at_the_address_of_its_table() {
     let endpoint = loopback();
     let text = apart(&endpoint, &endpoint).replacen("[stage", "metrics = \"127.0.0.1:0\"\n[stage", 1);
-    let told = loopback()["tcp/".len()..].to_owned();
-    let own = format!("[machine.base]\nmetrics = \"{told}\"\n");
+    let address = loopback()["tcp/".len()..].to_owned();
+    let own = format!("[machine.base]\nmetrics = \"{address}\"\n");
     let [robot, base] = machines(&text.replace("[machine.base]\n", &own));
     let mut runs = [start(&robot, "robot"), start(&base, "base")];
     let hosts = runs.each_mut().map(host);
-    assert!(hosts[0] != hosts[1] && hosts[1] == told, "{hosts:?}");
+    assert!(hosts[0] != hosts[1] && hosts[1] == address, "{hosts:?}");
     runs[1].wait_until("tracks arrive", || newest(&base) > 30);
     let texts = hosts.map(|host| get(&host).text());
     for (text, [here, away]) in texts.iter().zip([["extractor", "tracker"], ["tracker", "extractor"]]) {

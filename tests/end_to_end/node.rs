@@ -17,7 +17,7 @@ fn run_each(playground: &Playground, stages: &[&str]) -> Vec<Ended> {
 }
 
 #[test]
-fn stages_that_are_started_one_by_one_a_second_time_begin_anew() {
+fn stages_that_are_started_one_by_one_a_second_time_start_afresh() {
     let playground = Playground::with_pipeline(&three_frames());
     for round in 0..2 {
         run_each(&playground, &TRACKING_STAGES);

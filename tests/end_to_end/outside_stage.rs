@@ -48,7 +48,7 @@ fn by_depth(line: &Json) -> Vec<Json> {
 }
 
 #[test]
-fn a_program_of_ones_own_works_in_the_middle_of_a_pipeline_with_parameters_from_its_file() {
+fn a_program_of_the_user_works_in_the_middle_of_a_pipeline_with_parameters_from_its_file() {
     for (keys, most) in [("", 1), ("max_objects = 2", 2)] {
         let playground = with_nearest_object(keys);
         let ended = run(&playground).expect_code(0);
@@ -64,7 +64,7 @@ fn a_program_of_ones_own_works_in_the_middle_of_a_pipeline_with_parameters_from_
 }
 
 #[test]
-fn it_logs_as_the_other_stages_do() {
+fn a_program_of_the_user_logs_as_the_other_stages_do() {
     let ended = run(&with_nearest_object("env = { CONICFLOW_LOG = \"debug\" }")).expect_code(0);
     let of_stages: Vec<_> = ended.stderr.lines().filter_map(|line| line.split_once("DEBUG stage `")).collect();
     assert!(
@@ -75,9 +75,9 @@ fn it_logs_as_the_other_stages_do() {
 }
 
 #[test]
-fn parameters_that_it_does_not_know_end_the_run() {
+fn parameters_unknown_to_the_program_end_the_run() {
     let ended = run(&with_nearest_object("max_object = 2")).expect_code(1);
-    ended.expect_told(&[
+    ended.expect_texts(&[
         "error: unknown key `max_object` in `parameters`\n  hint: did you mean `max_objects`?",
         "the run ends, because a stage is lost",
     ]);
@@ -88,11 +88,11 @@ fn a_program_that_takes_another_kind_of_message_ends_the_run() {
     let playground = with_nearest_object("");
     let sets = ["--set", "nearest.input=depth", "--frames", "3"];
     let ended = playground.conicflow(&[&["run"][..], &sets].concat()).expect_code(1);
-    ended.expect_told(&["topic `depth` carries another type of message"]);
+    ended.expect_texts(&["topic `depth` carries another type of message"]);
 }
 
 #[test]
-fn a_stage_that_nobody_started_says_how_it_is_started() {
+fn a_stage_that_is_started_by_hand_says_how_to_start_it() {
     let playground = Playground::new();
     let mut command = Command::new(example("nearest_object"));
     command.env_remove("CONICFLOW_PIPELINE").env("CONICFLOW_RUNTIME_DIR", playground.runtime());
@@ -110,8 +110,8 @@ fn a_stage_of_another_version_than_its_launcher_says_so() {
     let variables = [("CONICFLOW_PIPELINE", "other"), ("CONICFLOW_STAGE", "nearest")];
     command.envs(variables).env("CONICFLOW_RUNTIME_DIR", playground.runtime());
     let ended = Started::new(command).wait().expect_code(2);
-    let told = "were built from different versions of conicflow (layout ";
-    assert!(ended.stderr.contains(told) && ended.stderr.contains(", 99)\n  hint: "), "{ended:?}");
+    let expected = "were built from different versions of conicflow (layout ";
+    assert!(ended.stderr.contains(expected) && ended.stderr.contains(", 99)\n  hint: "), "{ended:?}");
 }
 
 /// What finds objects in the frames that `raw_camera` takes from `depth.z16`.
@@ -154,7 +154,7 @@ fn frame() -> Vec<u8> {
 }
 
 #[test]
-fn a_camera_of_ones_own_sends_what_comes_through_a_pipe() {
+fn a_camera_program_of_the_user_sends_images_through_a_pipe() {
     let playground = with_raw_camera();
     let pipe = playground.path("depth.z16");
     mkfifoat(CWD, &pipe, Mode::RUSR | Mode::WUSR).unwrap();
@@ -173,7 +173,7 @@ fn a_camera_of_ones_own_sends_what_comes_through_a_pipe() {
 }
 
 #[test]
-fn a_stream_that_ends_within_a_frame_is_told() {
+fn a_stream_that_ends_within_a_frame_is_reported() {
     let playground = with_raw_camera();
     fs::write(playground.path("depth.z16"), &frame()[..1000]).unwrap();
     let ended = playground.conicflow(&["run"]).expect_code(1);

@@ -59,12 +59,12 @@ fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 }
 
 /// Makes sure that a pipeline is refused with such a text, and that nothing is written.
-fn expect_refused(playground: &Playground, pipeline: &str, told: &str) {
+fn expect_refused(playground: &Playground, pipeline: &str, expected: &str) {
     playground.write("pipeline.toml", pipeline);
     let before = contents(&playground.path(""));
     for command in ["validate", "run"] {
         let ended = playground.conicflow(&[command]).expect_code(2);
-        assert!(ended.stderr.contains(told) && ended.stderr.contains("\n  hint: "), "{told}: {}", ended.stderr);
+        assert!(ended.stderr.contains(expected) && ended.stderr.contains("\n  hint: "), "{expected}: {}", ended.stderr);
         assert!(contents(&playground.path("")) == before, "{command} has changed something: {pipeline}");
     }
 }
@@ -75,7 +75,7 @@ fn no_stage_writes_over_frames_or_what_belongs_to_them() {
     fs::copy(playground.path("frames/0.png"), playground.path("frames/frame_000004.png")).unwrap();
     // What comes there would make another recording of them; the link leads to what is not there yet.
     symlink("frames/depth.txt", playground.path("dangling")).unwrap();
-    for (sink, parameters, told) in [
+    for (sink, parameters, expected) in [
         (PICTURES, "path = \"frames\"", "from which `path` of stage `source` reads"),
         (JSON, "path = \"frames/1.png\"", "frames/1.png`, which `path` of stage `source` reads"),
         (JSON, "path = \"link/1.png\"", "link/1.png`, which `path` of stage `source` reads"),
@@ -88,7 +88,7 @@ fn no_stage_writes_over_frames_or_what_belongs_to_them() {
         (PICTURES, "path = \"frames\"\nnames = \"source\"", "from which `path` of stage `source` reads"),
         (PICTURES, "path = \"link/.\"\nnames = \"stage\"", "from which `path` of stage `source` reads"),
     ] {
-        expect_refused(&playground, &format!("{RECORDING}{sink}{parameters}\n"), told);
+        expect_refused(&playground, &format!("{RECORDING}{sink}{parameters}\n"), expected);
     }
 }
 
@@ -97,8 +97,8 @@ fn no_stage_writes_over_the_poses_of_frames() {
     let playground = frames();
     playground.write("poses.log", "");
     let posed = RECORDING.replace("rate_hz = 0", "rate_hz = 0\nposes = \"poses.log\"");
-    let told = "poses.log`, which `poses` of stage `source` reads";
-    expect_refused(&playground, &format!("{posed}{JSON}path = \"poses.log\"\n"), told);
+    let expected = "poses.log`, which `poses` of stage `source` reads";
+    expect_refused(&playground, &format!("{posed}{JSON}path = \"poses.log\"\n"), expected);
 }
 
 #[test]
@@ -118,7 +118,7 @@ fn no_two_pipelines_that_run_write_one_file() {
     wait_for_lines(&mut run, &playground);
     playground.write("second.toml", &TRACKING.replace("\"tracking\"", "\"second\""));
     let refused = playground.conicflow(&["run", "second.toml"]).expect_code(2);
-    refused.expect_told(&[
+    refused.expect_texts(&[
         "`path` of stage `json` writes what `path` of stage `json` of the running pipeline `tracking` writes",
     ]);
     playground.conicflow(&["run", "second.toml", "--frames", "3", "--set", "json.path=other.jsonl"]).expect_code(0);
@@ -129,14 +129,14 @@ fn no_two_pipelines_that_run_write_one_file() {
 fn a_recording_that_is_played_is_not_recorded_over() {
     let playground = record();
     fs::copy(playground.path("run.mcap"), playground.path("again_2.mcap")).unwrap();
-    for (source, sink, told) in [
+    for (source, sink, expected) in [
         ("run.mcap", "run.mcap", "writes the file"),
         (".", "new.mcap", "into the folder that `path` of stage `source` reads"),
         ("again_2.mcap", "again.mcap\"\nsplit_mb = \"100", "from which `path` of stage `source` reads"),
     ] {
         let replay = REPLAY.replace("run.mcap", source);
         let sink = format!("path = \"{sink}\"\n").replace("\"100\"", "100");
-        expect_refused(&playground, &format!("{replay}{MCAP}{sink}"), told);
+        expect_refused(&playground, &format!("{replay}{MCAP}{sink}"), expected);
     }
 }
 
@@ -165,7 +165,7 @@ fn detect_writes_over_nothing_that_it_reads() {
 
 /// Also a second time, over what was written the first.
 #[test]
-fn what_is_not_read_may_be_written_beside_the_frames() {
+fn files_that_no_stage_reads_may_be_written_beside_the_frames() {
     let playground = frames();
     let frames = contents(&playground.path("frames"));
     let nowhere = "path = \"/dev/null\"\n";

@@ -39,41 +39,42 @@ path  = "grasps.jsonl"
 }
 
 /// A grasp in words: the frame, its number and shape; and its numbers.
-type Told = (String, Vec<f64>);
+type GraspInWords = (String, Vec<f64>);
 
 fn number(value: &Json) -> f64 {
     value.as_f64().unwrap()
 }
 
-fn told(line: &Json, id: &Json, shape: &Json, place: &Json, width: f64) -> Told {
+fn grasp_in_words(line: &Json, id: &Json, shape: &Json, place: &Json, width: f64) -> GraspInWords {
     let words = format!("{} {id} {}", line["sequence"], shape.as_str().unwrap());
     (words, place.as_array().unwrap().iter().map(number).chain([width]).collect())
 }
 
 /// What the planner makes of a line of objects.
-fn planned(line: &Json) -> Vec<Told> {
+fn planned(line: &Json) -> Vec<GraspInWords> {
     let objects = line["objects"].as_array().unwrap().iter().enumerate();
     let plan = |(id, object): (usize, &Json)| {
-        told(line, &id.into(), &object["kind"], &object["center"], 2.0 * number(&object["radius"]))
+        grasp_in_words(line, &id.into(), &object["kind"], &object["center"], 2.0 * number(&object["radius"]))
     };
     objects.map(plan).collect()
 }
 
 /// What a line of grasps says.
-fn written(line: &Json) -> Vec<Told> {
+fn written(line: &Json) -> Vec<GraspInWords> {
     let grasps = line["grasps"].as_array().unwrap().iter();
-    let tell = |grasp: &Json| told(line, &grasp["id"], &grasp["shape"], &grasp["position"], number(&grasp["width"]));
-    grasps.map(tell).collect()
+    let grasp_of =
+        |grasp: &Json| grasp_in_words(line, &grasp["id"], &grasp["shape"], &grasp["position"], number(&grasp["width"]));
+    grasps.map(grasp_of).collect()
 }
 
 /// What the gripper noted: the frame, number, shape, and four numbers.
-fn noted(line: &str) -> Told {
+fn noted(line: &str) -> GraspInWords {
     let words: Vec<_> = line.split(' ').collect();
     (words[..3].join(" "), words[3..].iter().map(|number| number.parse().unwrap()).collect())
 }
 
 /// Makes sure that these are the same, but for what reading a number from JSON changes in its last digit.
-fn expect_same(some: &[Told], others: &[Told]) {
+fn expect_same(some: &[GraspInWords], others: &[GraspInWords]) {
     assert_eq!(some.len(), others.len());
     for ((words, numbers), (other_words, other_numbers)) in some.iter().zip(others) {
         assert_eq!((words, numbers.len()), (other_words, other_numbers.len()));
@@ -83,7 +84,7 @@ fn expect_same(some: &[Told], others: &[Told]) {
 }
 
 #[test]
-fn a_type_of_ones_own_is_checked_carried_and_written_with_its_fields() {
+fn an_item_type_of_the_user_is_checked_carried_and_written_with_its_fields() {
     let playground = Playground::with_pipeline(&with_grasps(FIELDS));
     playground.conicflow(&["validate"]).expect_code(0);
     playground.conicflow(&["run", "--frames", "20"]).expect_code(0);
@@ -91,32 +92,34 @@ fn a_type_of_ones_own_is_checked_carried_and_written_with_its_fields() {
     assert_eq!((objects.len(), grasps.len()), (20, 20));
     assert!(grasps.iter().any(|line| line["grasps"][0]["shape"] == "sphere"), "{grasps:?}");
     assert_eq!(playground.sequences("grasps.jsonl"), (0..20).collect::<Vec<_>>());
-    let of_all = |lines: &[Json], tell: fn(&Json) -> Vec<Told>| lines.iter().flat_map(tell).collect::<Vec<_>>();
+    let of_all = |lines: &[Json], grasps_of: fn(&Json) -> Vec<GraspInWords>| {
+        lines.iter().flat_map(grasps_of).collect::<Vec<_>>()
+    };
     expect_same(&of_all(&grasps, written), &of_all(&objects, planned));
     let notes: Vec<_> = playground.lines("taken.txt").iter().map(|line| noted(line)).collect();
     expect_same(&notes, &of_all(&grasps, written));
 }
 
 #[test]
-fn who_looks_on_sees_it_as_well() {
+fn the_topic_command_shows_an_item_type_of_the_user() {
     let playground = Playground::with_pipeline(&with_grasps(FIELDS));
     let mut run = playground.start(&["run", "--set", "source.rate_hz=50"]);
     run.wait_until("it delivers", || !playground.lines("grasps.jsonl").is_empty());
     let list = playground.conicflow(&["topic", "list"]).expect_code(0).stdout;
     assert!(list.lines().any(|line| line.starts_with("grasps ") && line.contains(" grasps ")), "{list}");
     let echo = playground.conicflow(&["topic", "echo", "grasps", "--count", "3"]).expect_code(0).stdout;
-    let seen: Vec<Json> = echo.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let echoed: Vec<Json> = echo.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     run.end();
     let lines = playground.json_lines("grasps.jsonl");
-    assert_eq!(seen.len(), 3);
-    for line in seen {
+    assert_eq!(echoed.len(), 3);
+    for line in echoed {
         let same = lines.iter().find(|written| written["sequence"] == line["sequence"]).unwrap();
         assert_eq!(same["grasps"], line["grasps"]);
     }
 }
 
 #[test]
-fn it_crosses_to_another_machine_bit_for_bit() {
+fn an_item_type_of_the_user_crosses_to_another_machine_bit_for_bit() {
     let alone = Playground::with_pipeline(&with_grasps(FIELDS));
     alone.conicflow(&["run", "--frames", "100"]).expect_code(0);
     let expected = without_times(&alone, "grasps.jsonl");
@@ -138,8 +141,8 @@ fn fields_that_are_not_those_of_the_program_end_the_run() {
     let other = r#"{ position = "f32[3]", width = "f32", id = "u32", shape = "text[12]" }"#;
     let playground = Playground::with_pipeline(&with_grasps(other));
     let ended = playground.conicflow(&["run", "--frames", "3"]).expect_code(1);
-    let told = "topic `grasps` carries another type of message than `acme.Grasp.v1`, 48 bytes, aligned to 8: the pipeline \
+    let expected = "topic `grasps` carries another type of message than `acme.Grasp.v1`, 48 bytes, aligned to 8: the pipeline \
                 file says `acme.Grasp.v1`, 32 bytes, aligned to 4\n  hint: let `type` and `fields` under [item.grasps] be \
                 those of the program";
-    ended.expect_told(&[told]);
+    ended.expect_texts(&[expected]);
 }

@@ -104,7 +104,7 @@ fn pause_goes_on(playground: &Playground, seconds: u64) {
 }
 
 #[test]
-fn keys_pause_a_run_and_step_it_and_a_pause_is_no_standstill() {
+fn keys_pause_and_step_a_run_and_a_pause_does_not_count_as_hanging() {
     let playground = Playground::with_pipeline(
         &TRACKING.replace("rate_hz    = 0", "rate_hz    = 40\nrestart    = { when = \"on_failure\", hang_s = 3 }"),
     );
@@ -132,7 +132,7 @@ fn keys_pause_a_run_and_step_it_and_a_pause_is_no_standstill() {
 }
 
 #[test]
-fn a_paused_run_ends_in_order_and_its_time_stands_still() {
+fn a_paused_run_ends_in_order_and_its_clock_stops() {
     let playground = Playground::with_pipeline(TRACKING);
     let Some(mut terminal) = Terminal::open("sh") else { return };
     let program = [PROGRAM, "run", "--set", "source.rate_hz=40", "--for", "10s"];
@@ -210,37 +210,37 @@ fn the_page_pauses_a_replay_steps_it_and_lets_it_go_on() {
     playground.write("pipeline.toml", &tracking_behind(source, "lossless"));
     let _run = playground.start(&["run"]);
     let page = Page::open(&playground, &[]);
-    page.told("the run can be paused", |json| {
+    page.wait_for_state("the run can be paused", |json| {
         json["about"]["run"] == json!({ "can_pause": true, "live": [], "paused": false })
     });
-    assert_eq!(page.wish(&json!({ "do": "pause" })), 204);
-    page.told("it is paused", |json| json["about"]["run"]["paused"] == true);
+    assert_eq!(page.send_command(&json!({ "do": "pause" })), 204);
+    page.wait_for_state("it is paused", |json| json["about"]["run"]["paused"] == true);
     let at = standing_at(&playground);
     for sequence in at + 1..at + 4 {
-        assert_eq!(page.wish(&json!({ "do": "step", "by": 1 })), 204);
+        assert_eq!(page.send_command(&json!({ "do": "step", "by": 1 })), 204);
         let (json, pixels) = page.frame("the next frame", |json| json["frame"]["sequence"] == sequence);
         assert!(!items(&json).is_empty() && !pixels.is_empty(), "with all that belongs to it");
     }
     assert_eq!(standing_at(&playground), at + 3);
-    assert_eq!(page.wish(&json!({ "do": "play" })), 204);
+    assert_eq!(page.send_command(&json!({ "do": "play" })), 204);
     page.frame("it goes on", |json| json["frame"]["sequence"].as_u64() > Some(at + 20));
-    page.told("and says so", |json| json["about"]["run"]["paused"] == false);
+    page.wait_for_state("and says so", |json| json["about"]["run"]["paused"] == false);
 }
 
 #[test]
-fn a_step_is_shown_to_who_did_not_look_for_a_while() {
+fn a_step_is_shown_to_a_browser_that_did_not_ask_for_a_while() {
     let playground = Playground::with_pipeline(&TRACKING.replace("rate_hz    = 0", "rate_hz    = 20"));
     let _run = playground.start(&["run"]);
     let page = Page::open(&playground, &[]);
     page.frame("tracks", |json| !items(json).is_empty());
-    assert_eq!(page.wish(&json!({ "do": "pause" })), 204);
+    assert_eq!(page.send_command(&json!({ "do": "pause" })), 204);
     let at = standing_at(&playground);
     // As long as a browser needs that draws slowly: nobody is counted as looking any more.
     let away = std::time::Instant::now();
     while away.elapsed().as_secs() < 5 {
         playground.top();
     }
-    assert_eq!(page.wish(&json!({ "do": "step", "by": 1 })), 204);
+    assert_eq!(page.send_command(&json!({ "do": "step", "by": 1 })), 204);
     assert_eq!(standing_at(&playground), at + 1);
     page.frame("the step", |json| json["frame"]["sequence"] == at + 1);
 }
@@ -317,13 +317,13 @@ fn a_camera_is_emptied_while_the_rest_of_the_run_is_paused() {
     run.wait_until("both deliver", || playground.newest("tracks.jsonl") > 5 && playground.newest("camera.jsonl") > 5);
     run.wait_until("the terminal gives keys", || terminal.gives_keys());
     terminal.press(" ");
-    let told = "`camera` cannot be paused, and goes on";
+    let notice = "`camera` cannot be paused, and goes on";
     let written = Arc::clone(&terminal.text);
-    run.wait_until("it is said", || written.lock().unwrap().contains(told));
+    run.wait_until("it is said", || written.lock().unwrap().contains(notice));
     let at = standing_at(&playground);
-    let (taken, seen) = (camera.taken(), playground.newest("camera.jsonl"));
+    let (taken, newest) = (camera.taken(), playground.newest("camera.jsonl"));
     run.wait_until("its frames are taken", || camera.taken() > taken + MORE_THAN_WAIT);
-    run.wait_until("and worked on", || playground.newest("camera.jsonl") > seen + MORE_THAN_WAIT / 2);
+    run.wait_until("and worked on", || playground.newest("camera.jsonl") > newest + MORE_THAN_WAIT / 2);
     assert_eq!(playground.newest("tracks.jsonl"), at, "while the others stand still");
     terminal.press(" ");
     run.wait_until("it goes on", || playground.newest("tracks.jsonl") > at + 5);
@@ -332,7 +332,7 @@ fn a_camera_is_emptied_while_the_rest_of_the_run_is_paused() {
 }
 
 #[test]
-fn a_run_of_cameras_alone_goes_on_and_that_is_said() {
+fn a_run_of_live_cameras_cannot_be_paused_and_reports_it() {
     let sink = "[stage.shown]\nnode = \"view_sink\"\ninput = \"camera_depth\"\nlisten = \"127.0.0.1:0\"\n";
     let playground = Playground::with_pipeline(&format!("name = \"live\"\n{}{sink}", Camera::stage()));
     let Some(mut terminal) = Terminal::open("sh") else { return };
@@ -342,12 +342,12 @@ fn a_run_of_cameras_alone_goes_on_and_that_is_said() {
     run.wait_until("the page is offered", || written.lock().unwrap().contains("in a browser"));
     let page = Page::of_stage(&written.lock().unwrap());
     let live = json!({ "can_pause": false, "live": ["camera"], "paused": false });
-    page.told("a camera cannot be paused", |json| json["about"]["run"] == live);
-    assert_eq!(page.wish(&json!({ "do": "pause" })), 204);
+    page.wait_for_state("a camera cannot be paused", |json| json["about"]["run"] == live);
+    assert_eq!(page.send_command(&json!({ "do": "pause" })), 204);
     run.wait_until("the terminal gives keys", || terminal.gives_keys());
     terminal.press(" ");
-    let told = "`live` cannot be paused: `camera` is live";
-    run.wait_until("it is said", || written.lock().unwrap().contains(told));
+    let notice = "`live` cannot be paused: `camera` is live";
+    run.wait_until("it is said", || written.lock().unwrap().contains(notice));
     let (taken, mut frames) = (camera.taken(), 0);
     run.wait_until("its frames are taken", || camera.taken() > taken + MORE_THAN_WAIT);
     page.frame("it goes on", |json| {

@@ -37,9 +37,9 @@ pub fn wait_for_standstill(run: &mut Started, playground: &Playground, stopped: 
     let last = TRACKING_TOPICS.iter().position(|(_, _, reader)| *reader == stopped).unwrap();
     let mut made = Json::Null;
     run.wait_until("all writers wait", || {
-        let seen = playground.top();
+        let state = playground.top();
         let stage =
-            |name: &str| seen["stages"].as_array().unwrap().iter().find(|stage| stage["stage"] == name).unwrap();
+            |name: &str| state["stages"].as_array().unwrap().iter().find(|stage| stage["stage"] == name).unwrap();
         let all_wait = TRACKING_TOPICS[..=last].iter().all(|(_, writer, reader)| stage(writer)["waits_for"] == *reader);
         let now = stage("source")["messages"].clone();
         std::mem::replace(&mut made, now) == made && all_wait
@@ -58,16 +58,16 @@ fn expect_nothing_lives(playground: &Playground) {
 }
 
 #[test]
-fn each_stage_is_a_process_whose_parent_is_the_launcher_and_who_looks_on_sees_it_at_work() {
+fn each_stage_is_a_process_whose_parent_is_the_launcher_and_top_shows_it_at_work() {
     let (playground, run) = at_work(TRACKING, 50);
-    let seen = playground.top();
-    assert_eq!(seen["pipeline"], "tracking", "{seen:#}");
+    let state = playground.top();
+    assert_eq!(state["pipeline"], "tracking", "{state:#}");
     let processes = stages_of(run.id());
     assert_eq!(playground.processes().len(), processes.len() + 1, "one process per stage, and the launcher");
     for (index, name) in TRACKING_STAGES.into_iter().enumerate() {
-        let stage = &seen["stages"][index];
-        assert_eq!((&stage["stage"], &stage["process"]), (&name.into(), &processes[name].into()), "{seen:#}");
-        assert!(stage["messages"].as_u64().unwrap() > 0, "{seen:#}");
+        let stage = &state["stages"][index];
+        assert_eq!((&stage["stage"], &stage["process"]), (&name.into(), &processes[name].into()), "{state:#}");
+        assert!(stage["messages"].as_u64().unwrap() > 0, "{state:#}");
     }
 }
 
@@ -77,19 +77,19 @@ fn top_and_the_summary_count_what_the_file_of_results_has() {
     // What is under way arrives, and then nothing moves; the source may stand still between sending and counting.
     let source = stages_of(run.id())["source"];
     signal(source, Signal::STOP);
-    let counts = |seen: &Json, list: &str, key: &str| -> Vec<u64> {
-        seen[list].as_array().unwrap().iter().map(|row| row[key].as_u64().unwrap()).collect()
+    let counts = |state: &Json, list: &str, key: &str| -> Vec<u64> {
+        state[list].as_array().unwrap().iter().map(|row| row[key].as_u64().unwrap()).collect()
     };
     run.wait_until("all that was sent has arrived", || {
         let worked = counts(&playground.top(), "stages", "messages");
         let lines = playground.lines("tracks.jsonl").len() as u64;
         worked[1..] == [lines; 4] && (worked[0]..=worked[0] + 1).contains(&lines)
     });
-    let (seen, lines) = (playground.top(), playground.lines("tracks.jsonl").len() as u64);
-    assert_eq!(counts(&seen, "topics", "sent")[1..], [lines; 3], "{seen:#}");
-    assert_eq!(counts(&seen, "inputs", "received"), [lines; 4], "{seen:#}");
+    let (state, lines) = (playground.top(), playground.lines("tracks.jsonl").len() as u64);
+    assert_eq!(counts(&state, "topics", "sent")[1..], [lines; 3], "{state:#}");
+    assert_eq!(counts(&state, "inputs", "received"), [lines; 4], "{state:#}");
     for lost in ["dropped", "gaps", "late", "malformed"] {
-        assert_eq!(counts(&seen, "inputs", lost), [0; 4], "{seen:#}");
+        assert_eq!(counts(&state, "inputs", lost), [0; 4], "{state:#}");
     }
     signal(source, Signal::CONT);
     wait_for_lines(&mut run, &playground);
@@ -100,16 +100,16 @@ fn top_and_the_summary_count_what_the_file_of_results_has() {
 }
 
 #[test]
-fn a_reader_that_never_reads_keeps_no_run_from_ending() {
+fn a_reader_that_never_reads_does_not_keep_a_run_from_ending() {
     let (playground, mut run) = at_work(TRACKING, 50);
     let reader = stages_of(run.id())["tracker"];
     signal(reader, Signal::STOP);
     wait_for_standstill(&mut run, &playground, "tracker");
-    let waits = |stages: [&str; 2]| format!("`{}` waits for `{}` to take its messages", stages[0], stages[1]);
+    let report = |stages: [&str; 2]| format!("`{}` waits for `{}` to take its messages", stages[0], stages[1]);
     assert_eq!(playground.top()["stages"][0]["waits_for"], "extractor");
     run.wait_for_text("nothing has moved for 10 s: ");
     for pair in [["source", "extractor"], ["extractor", "assembler"], ["assembler", "tracker"]] {
-        assert!(run.stderr().contains(&waits(pair)), "{}", run.stderr());
+        assert!(run.stderr().contains(&report(pair)), "{}", run.stderr());
     }
     signal(run.id(), Signal::INT);
     let ended = run.wait().expect_code(1);
@@ -142,8 +142,8 @@ fn kill_each_stage(delivery: &str) {
     let ended = run.end();
     for stage in TRACKING_STAGES {
         assert_eq!(ended.stage(stage).starts, 2, "{stage}: {}", ended.stderr);
-        let told = format!("stage `{stage}` was killed by signal 9, and is started anew in 0.1 s");
-        assert!(ended.stderr.contains(&told), "{stage}: {}", ended.stderr);
+        let report = format!("stage `{stage}` was killed by signal 9, and is started anew in 0.1 s");
+        assert!(ended.stderr.contains(&report), "{stage}: {}", ended.stderr);
     }
     let sequences = playground.sequences("tracks.jsonl");
     assert!(sequences.is_sorted(), "frames went back: {sequences:?}");
@@ -153,12 +153,12 @@ fn kill_each_stage(delivery: &str) {
 }
 
 #[test]
-fn the_death_of_any_stage_is_survived_where_the_newest_is_wanted() {
+fn the_run_survives_the_death_of_any_stage_with_latest() {
     kill_each_stage("latest");
 }
 
 #[test]
-fn the_death_of_any_stage_is_survived_where_writers_wait() {
+fn the_run_survives_the_death_of_any_stage_on_lossless_topics() {
     kill_each_stage("lossless");
 }
 
@@ -185,7 +185,7 @@ fn interrupt_and_terminate_end_a_run_in_order() {
 }
 
 #[test]
-fn who_insists_ends_stages_that_do_not_listen() {
+fn a_second_interrupt_ends_stages_that_ignore_the_first() {
     let deaf = r#"
 [stage]
 deaf = { program = ["sh", "-c", "trap '' INT TERM; exec sleep 600"], input = "tracks" }
@@ -204,7 +204,7 @@ deaf = { program = ["sh", "-c", "trap '' INT TERM; exec sleep 600"], input = "tr
 }
 
 #[test]
-fn a_run_whose_log_nobody_reads_any_more_goes_on() {
+fn a_run_goes_on_when_the_reader_of_its_log_has_gone() {
     let playground = Playground::with_pipeline(TRACKING);
     let mut command = playground.command(&["run", "--frames", "30", "--set", "tracker.node=no_such_node"]);
     assert_eq!(command.stderr(Stdio::piped()).spawn().map(read_nothing).unwrap(), Some(2));
@@ -228,7 +228,7 @@ fn a_source_that_cannot_start_ends_the_run() {
     let ended = playground.conicflow(&["run"]).expect_code(1);
     let folder = playground.path("frames").display().to_string();
     assert!(ended.stderr.lines().any(|line| line.starts_with("error: ") && line.contains(&folder)), "{}", ended.stderr);
-    ended.expect_told(&["\n  hint: "]);
+    ended.expect_texts(&["\n  hint: "]);
     assert!(ended.stderr.ends_with("not complete: a stage was lost, see above\n"), "{}", ended.stderr);
     expect_nothing_lives(&playground);
 }
@@ -237,8 +237,8 @@ fn a_source_that_cannot_start_ends_the_run() {
 fn a_sink_that_cannot_write_ends_the_run() {
     let playground = Playground::with_pipeline(TRACKING);
     let ended = playground.conicflow(&["run", "--set", "json.path=pipeline.toml/tracks.jsonl"]).expect_code(1);
-    let told = |line: &str| line.starts_with("error: ") && line.contains("pipeline.toml/tracks.jsonl");
-    assert!(ended.stderr.lines().any(told), "{}", ended.stderr);
+    let is_expected = |line: &str| line.starts_with("error: ") && line.contains("pipeline.toml/tracks.jsonl");
+    assert!(ended.stderr.lines().any(is_expected), "{}", ended.stderr);
     assert!(ended.stderr.ends_with("not complete: a stage was lost, see above\n"), "{}", ended.stderr);
     expect_nothing_lives(&playground);
 }
@@ -258,7 +258,7 @@ other = { node = "json_sink", input = { topic = "tracks", delivery = "lossless" 
     wait_for_lines(&mut run, &playground);
     signal(launcher, Signal::INT);
     let ended = run.wait().expect_code(1);
-    ended.expect_told(&["stage `other` was killed by signal 9, and is not started anew"]);
+    ended.expect_texts(&["stage `other` was killed by signal 9, and is not started anew"]);
     assert_eq!((ended.stage("other").starts, ended.stage("json").starts), (1, 1));
     assert!(ended.stage("other").messages < ended.stage("json").messages, "{}", ended.stderr);
 }
@@ -275,12 +275,12 @@ fn a_run_ends_by_itself_though_one_of_two_cameras_died_for_good() {
     wait_for_lines(&mut run, &playground);
     signal(stages_of(run.id())["second"], Signal::KILL);
     let ended = run.wait().expect_code(1);
-    ended.expect_told(&["stage `second` was killed by signal 9, and is not started anew"]);
+    ended.expect_texts(&["stage `second` was killed by signal 9, and is not started anew"]);
     assert_eq!(ended.stage("first").messages, 200);
 }
 
 #[test]
-fn a_stage_whose_program_is_away_comes_back_with_it_and_the_others_go_on() {
+fn a_stage_whose_program_is_missing_returns_with_it_and_the_others_go_on() {
     let other = "\n[stage.other]\nnode = \"json_sink\"\ninput = \"tracks\"\npath = \"other.jsonl\"\n";
     let playground = Playground::with_pipeline(&format!("{TRACKING}{other}"));
     let (program, away) = (playground.path("conicflow"), playground.path("away"));
@@ -303,7 +303,7 @@ fn a_stage_whose_program_is_away_comes_back_with_it_and_the_others_go_on() {
 }
 
 #[test]
-fn a_stage_that_is_always_restarted_comes_back_though_it_ended_well() {
+fn a_stage_that_is_always_restarted_returns_even_after_a_success() {
     let again = r#"
 [stage]
 again = { program = ["sh", "-c", "echo start >> starts.txt"], input = "tracks", restart = "always" }
@@ -395,7 +395,7 @@ fn nothing_stays_in_shared_memory_however_runs_end() {
 }
 
 #[test]
-fn a_run_that_is_told_to_end_as_soon_as_it_has_shared_memory_leaves_nothing() {
+fn a_run_that_is_interrupted_as_soon_as_it_has_shared_memory_leaves_nothing() {
     let playground = Playground::with_pipeline(TRACKING);
     let mut random = fastrand::Rng::with_seed(1);
     for round in 0..10 {
@@ -415,7 +415,7 @@ fn begin(path: &Path) {
 }
 
 #[test]
-fn what_a_stage_was_killed_over_while_it_made_it_is_removed_while_the_run_goes_on() {
+fn a_resource_left_half_made_by_a_killed_stage_is_removed_while_the_run_goes_on() {
     let (playground, mut run) = at_work(TRACKING, 50);
     let path = Path::new("/dev/shm").join(shared_prefix(&playground) + "begun.dynamic");
     begin(&path);
@@ -425,7 +425,7 @@ fn what_a_stage_was_killed_over_while_it_made_it_is_removed_while_the_run_goes_o
 }
 
 #[test]
-fn what_processes_were_killed_over_while_they_made_it_stops_no_later_run() {
+fn resources_left_half_made_by_killed_processes_stop_no_later_run() {
     let (playground, run) = at_work(TRACKING, 50);
     let prefix = shared_prefix(&playground);
     signal(run.id(), Signal::STOP);

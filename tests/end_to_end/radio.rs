@@ -138,15 +138,15 @@ impl Pair<'_> {
     ) {
         let mut faults = Vec::new();
         while faults.len() < TRIES {
-            let (robot, came) = self.window(what, &during);
+            let (robot, files) = self.window(what, &during);
             // Whoever waited for the radio would lose all frames; a host that is busy otherwise loses some, now and then.
             let unfelt =
                 robot.share() > 0.75 * self.alone.share() && robot.latency(0.5) < 2.0 * self.alone.latency(0.5) + 20.0;
-            let is_stale = came.iter().any(Written::is_backlog);
+            let is_stale = files.iter().any(Written::is_backlog);
             let fault = match (unfelt, is_stale) {
                 (false, _) => Some("the robot felt it"),
                 (_, true) => Some("a stale backlog"),
-                _ => wrong_with_lists(&came[0]),
+                _ => wrong_with_lists(&files[0]),
             };
             match fault {
                 Some(fault) => faults.push(fault),
@@ -161,13 +161,13 @@ impl Pair<'_> {
 fn show(base: &Playground, file: &str, from: usize) -> Written {
     let written = Written::of(base, file, from);
     let [p50, p99, most] = [0.5, 0.99, 1.0].map(|quantile| written.latency(quantile));
-    let (came, sent) = (written.latencies_ms.len(), written.last - written.first + 1);
-    eprintln!("base, {file}: {came} of {sent} came, latency {p50:.0} ms, p99 {p99:.0} ms, at most {most:.0} ms");
+    let (received, sent) = (written.latencies_ms.len(), written.last - written.first + 1);
+    eprintln!("base, {file}: {received} of {sent} came, latency {p50:.0} ms, p99 {p99:.0} ms, at most {most:.0} ms");
     written
 }
 
 #[test]
-fn the_robot_does_not_feel_a_bad_radio_and_lists_stay_fresh_while_images_are_late() {
+fn a_bad_radio_does_not_delay_the_robot_and_lists_stay_fresh_while_images_are_late() {
     let Some(hosts) = Hosts::with_radio(50) else { return };
     let machines = machines(&everything_crosses());
     let base = &machines[1];
@@ -224,7 +224,7 @@ fn lossless_edges_lose_nothing_over_a_bad_radio() {
 /// What comes of objects alone over ways that are encrypted.
 #[test]
 #[ignore = "measures, and shows little; cargo test -- --ignored --nocapture"]
-fn objects_come_by_encrypted_datagrams() {
+fn objects_arrive_by_encrypted_datagrams() {
     for more in ["", "#initial_mtu=1400"] {
         let Some(hosts) = Hosts::with_radio(50) else { return };
         let endpoints = format!(r#"["tls/{ROBOT}:7447", "quic/{ROBOT}:7447?rel=0{more}"]"#);

@@ -50,7 +50,7 @@ json      = { node = "json_sink", input = { topic = "objects", delivery = "lossl
 "#;
 
 #[test]
-fn a_run_that_was_recorded_is_replayed_to_the_bit_from_any_stage_on() {
+fn a_recorded_run_is_replayed_bit_for_bit_from_any_stage_on() {
     let playground = Playground::with_pipeline(&recording());
     playground.conicflow(&["run", "--frames", FRAMES]).expect_code(0);
     let (objects, tracks) = (without_times(&playground, "objects.jsonl"), without_times(&playground, "tracks.jsonl"));
@@ -72,7 +72,7 @@ fn a_run_that_was_recorded_is_replayed_to_the_bit_from_any_stage_on() {
 }
 
 #[test]
-fn what_a_killed_recorder_has_written_is_replayed() {
+fn the_recording_of_a_killed_recorder_is_replayed() {
     let playground = Playground::with_pipeline(&recording());
     let run = playground.start(&["run", "--set", "source.rate_hz=100", "--set", "recorder.split_s=1000"]);
     let size = || fs::metadata(playground.path("run.mcap")).map_or(0, |about| about.len());
@@ -89,11 +89,11 @@ fn what_a_killed_recorder_has_written_is_replayed() {
     assert!(!again.is_empty() && !tracks.is_empty(), "{}", ended.stderr);
     let both = again.len().min(tracks.len());
     assert_eq!(again[..both], tracks[..both]);
-    ended.expect_told(&["ends in the middle: its first "]);
+    ended.expect_texts(&["ends in the middle: its first "]);
 }
 
 #[test]
-fn a_recording_without_an_index_may_begin_with_much_that_nobody_reads() {
+fn a_recording_without_an_index_may_begin_with_many_unused_messages() {
     let playground = Playground::with_pipeline(&recording());
     playground.conicflow(&["run", "--quiet", "--frames", FRAMES]).expect_code(0);
     let recorded = fs::read(playground.path("run.mcap")).unwrap();
@@ -148,14 +148,14 @@ fn a_recorder_that_is_replaced_leaves_two_recordings_and_no_empty_file() {
 
 /// Files that are there stay as they are.
 #[test]
-fn a_recording_that_a_swap_begins_lies_where_it_was_to_and_goes_on_with_no_other_file() {
+fn a_recording_that_begins_with_a_swap_has_its_own_path_and_continues_no_other_file() {
     let playground = Playground::with_pipeline(TRACKING);
     playground.write("earlier.jsonl", "{\"sequence\": 7}\n");
     let mut run = playground.start(&["run", "--set", "source.rate_hz=100"]);
     wait_for_lines(&mut run, &playground);
     let swap = ["swap", "json", "--set"];
     let refused = playground.conicflow(&[&swap[..], &["path=earlier.jsonl"]].concat()).expect_code(2);
-    refused.expect_told(&["would go on with", "earlier.jsonl`, which is there already\n  hint: name another file"]);
+    refused.expect_texts(&["would go on with", "earlier.jsonl`, which is there already\n  hint: name another file"]);
     playground.conicflow(&[&swap[..], &["path=run.mcap", "--node", "mcap_sink"]].concat()).expect_code(0);
     run.wait_until("it is recorded", || {
         fs::metadata(playground.path("run.mcap")).is_ok_and(|about| about.len() > 10_000)
@@ -166,32 +166,32 @@ fn a_recording_that_a_swap_begins_lies_where_it_was_to_and_goes_on_with_no_other
 }
 
 #[test]
-fn an_onlooker_s_recording_ends_where_it_is_as_large_as_it_may_be() {
+fn the_record_command_ends_at_its_size_limit() {
     let (playground, run) = at_work(TRACKING, 500);
     let recorded = playground.conicflow(&["record", "-o", "part.mcap", "--limit-mb", "1"]).expect_code(0);
-    recorded.expect_told(&["the recording has reached `--limit-mb`: no more is recorded", "recorded 1."]);
+    recorded.expect_texts(&["the recording has reached `--limit-mb`: no more is recorded", "recorded 1."]);
     run.end();
 }
 
 #[test]
-fn an_onlooker_records_a_running_pipeline_until_it_ends() {
+fn the_record_command_records_a_running_pipeline_until_it_ends() {
     // Who only looks on gets what it has time for, on a busy machine too.
     let (playground, mut run) = at_work(TRACKING, 25);
     let mut recorder = playground.start(&["record", "depth", "objects", "depth", "-o", "part.mcap"]);
     recorder.wait_for_text("records `depth`, `objects` into `part.mcap`");
-    let there = playground.conicflow(&["record", "-o", "part.mcap"]).expect_code(2);
-    there.expect_told(&["`part.mcap` is there already\n  hint: "]);
+    let refused = playground.conicflow(&["record", "-o", "part.mcap"]).expect_code(2);
+    refused.expect_texts(&["`part.mcap` is there already\n  hint: "]);
     let unnamed = playground.conicflow(&["record", "-o", "other.txt"]).expect_code(2);
-    unnamed.expect_told(&["`other.txt` does not end with `.mcap`", "hint: name it `other.mcap`"]);
+    unnamed.expect_texts(&["`other.txt` does not end with `.mcap`", "hint: name it `other.mcap`"]);
     let unknown = playground.conicflow(&["record", "object", "-o", "other.mcap"]).expect_code(2);
-    unknown.expect_told(&["has no topic `object`\n  hint: did you mean `objects`?"]);
+    unknown.expect_texts(&["has no topic `object`\n  hint: did you mean `objects`?"]);
     let newest = playground.newest("tracks.jsonl");
     run.wait_until("frames pass", || playground.newest("tracks.jsonl") > newest + 100);
     let made = run.end().stage("source").messages;
-    let told = recorder.wait().expect_code(0).stderr;
-    assert!(told.contains("recorded ") && told.contains("MB: depth "), "{told}");
+    let log = recorder.wait().expect_code(0).stderr;
+    assert!(log.contains("recorded ") && log.contains("MB: depth "), "{log}");
     // As many as were recorded, and in brackets those that it had no time for.
-    let (_, objects) = told.rsplit_once(", objects ").unwrap();
+    let (_, objects) = log.rsplit_once(", objects ").unwrap();
     let numbers = objects
         .lines()
         .next()
@@ -199,7 +199,7 @@ fn an_onlooker_records_a_running_pipeline_until_it_ends() {
         .split(|c: char| !c.is_ascii_digit())
         .filter_map(|number| number.parse::<usize>().ok());
     let numbers: Vec<_> = numbers.take(2).collect();
-    assert!(numbers.iter().sum::<usize>() > 50, "{told}");
+    assert!(numbers.iter().sum::<usize>() > 50, "{log}");
 
     // The numbers of the frames are those of the run, in which the recording begins in the middle.
     let part = FROM_ELLIPSES.lines().filter(|line| !line.starts_with("assembler")).collect::<Vec<_>>().join("\n");
@@ -208,27 +208,27 @@ fn an_onlooker_records_a_running_pipeline_until_it_ends() {
     playground.write("part.toml", &part);
     playground.conicflow(&["run", "part.toml"]).expect_code(0);
     let sequences = playground.sequences("again.jsonl");
-    assert!(sequences.len() == numbers[0] && sequences.len() > 1 && sequences[0] > 0, "{told}: {sequences:?}");
+    assert!(sequences.len() == numbers[0] && sequences.len() > 1 && sequences[0] > 0, "{log}: {sequences:?}");
     assert!(sequences.is_sorted() && *sequences.last().unwrap() < made, "{sequences:?}");
 }
 
 #[test]
-fn what_cannot_be_replayed_is_told() {
+fn recordings_that_cannot_be_replayed_are_reported() {
     let playground = Playground::with_pipeline(&replay(TRACKING));
     let none = playground.conicflow(&["validate"]).expect_code(2);
-    none.expect_told(&["run.mcap` does not exist"]);
+    none.expect_texts(&["run.mcap` does not exist"]);
     playground.write("run.mcap", "this is no recording, for all its name says");
     let wrong = playground.conicflow(&["run"]).expect_code(1);
-    wrong.expect_told(&["run.mcap", "hint: "]);
+    wrong.expect_texts(&["run.mcap", "hint: "]);
     playground.write("old.bag", "#ROSBAG V2.0\n");
     let bag = playground.conicflow(&["detect", "old.bag"]).expect_code(2);
     let command = "hint: pip install rosbags && rosbags-convert --src 'old.bag' --dst 'old' --dst-storage mcap";
-    bag.expect_told(&[command]);
+    bag.expect_texts(&[command]);
     // From within the folder of a bag, which has no name there.
     playground.write("bag_0.db3", "SQLite format 3");
     let folder = playground.path(".").canonicalize().unwrap();
     let to = format!("rosbags-convert --src '.' --dst '{}.mcap' --dst-storage mcap", folder.display());
-    playground.conicflow(&["detect", "bag_0.db3"]).expect_code(2).expect_told(&[&to]);
+    playground.conicflow(&["detect", "bag_0.db3"]).expect_code(2).expect_texts(&[&to]);
 }
 
 /// Python with `rosbags`, `mcap` and `mcap-ros2-support`; none, said loudly, where there is no such.
@@ -251,7 +251,7 @@ const TIMED_OUT: i32 = 124;
 const COLOURS: usize = 1000;
 
 #[test]
-fn other_programs_read_what_is_recorded() {
+fn other_programs_read_recordings() {
     let Some(python) = other_programs() else { return };
     // All three kinds, wide enough for them.
     let wide = recording().replace("width      = 64\nheight     = 48", "width      = 320\nheight     = 240");
@@ -295,9 +295,9 @@ fn other_programs_read_what_is_recorded() {
         if matches!(shot.code, None | Some(TIMED_OUT)) {
             continue;
         }
-        let told = shot.expect_code(0).stderr;
-        let warned = told.lines().filter(|line| line.contains("does not specify a schema"));
-        assert_eq!(warned.count(), 0, "{told}");
+        let log = shot.expect_code(0).stderr;
+        let warned = log.lines().filter(|line| line.contains("does not specify a schema"));
+        assert_eq!(warned.count(), 0, "{log}");
         let (info, pixels) = read_png(&playground.path("shot.png"));
         most = most.max(Some(pixels.chunks_exact(info.color_type.samples()).collect::<HashSet<_>>().len()));
         if most > Some(COLOURS) {

@@ -63,7 +63,7 @@ fn touched(process: u32, files: &BTreeSet<PathBuf>) -> u64 {
 }
 
 #[test]
-fn what_a_run_asks_for_is_enough_and_less_than_twice_as_much() {
+fn the_shared_memory_that_a_run_requests_is_enough_and_less_than_twice_what_it_uses() {
     for delivery in ["latest", "lossless"] {
         let text = pipeline(delivery);
         let needs = needs(&text);

@@ -42,7 +42,7 @@ fn behind_router() -> (String, zenoh::Session, zenoh::Session) {
 }
 
 /// A message with its key and its attachment.
-type Heard = (String, Vec<u8>, Vec<u8>);
+type ReceivedMessage = (String, Vec<u8>, Vec<u8>);
 
 /// The end of a topic as a robot's node has it.
 struct RobotsTopic {
@@ -256,7 +256,7 @@ fn clouds_of_ros_give_the_objects_that_the_same_files_give() {
 /// From Lyrical on a publisher of images sends below the key of the topic, to subscribers whose token says that they take them
 /// there.
 #[test]
-fn images_that_come_below_the_key_are_taken() {
+fn images_below_the_key_of_the_topic_are_taken() {
     let (endpoint, _router, session) = behind_router();
     let playground = Playground::with_pipeline(&by_ros(RECORDING, &endpoint));
     let mut run = playground.start(&["run", "--frames", "3"]);
@@ -278,12 +278,12 @@ fn images_that_come_below_the_key_are_taken() {
 
 /// Where nodes speak DDS, `zenoh-bridge-ros2dds` carries their topics: by their names, with tokens of its own and no attachments.
 #[test]
-fn topics_that_a_bridge_carries_from_dds_come_and_go() {
+fn topics_are_exchanged_with_a_bridge_to_dds() {
     const FRAMES: usize = 10;
     let (files, camera, images) = recorded(RECORDING, FRAMES as u64);
     files.conicflow(&["run"]).expect_code(0);
     let (endpoint, _router, session) = behind_router();
-    let heard = session.declare_subscriber("conicflow/**").wait().unwrap();
+    let subscriber = session.declare_subscriber("conicflow/**").wait().unwrap();
     let text = by_ros(RECORDING, &endpoint).replace("[stage.extractor]", "via = \"ros2dds\"\n\n[stage.extractor]");
     let sink = "input = { topic = \"objects\", delivery = \"lossless\" }\nvia = \"ros2dds\"";
     let playground = Playground::with_pipeline(&with_sink(&text, sink, &endpoint));
@@ -307,23 +307,24 @@ fn topics_that_a_bridge_carries_from_dds_come_and_go() {
     // The last ones may still be on their way through the router when the run has ended.
     let mut keys = Vec::new();
     wait_until("both messages of each frame are heard", || {
-        keys.extend(heard.drain().map(|sample| sample.key_expr().to_string()));
+        keys.extend(subscriber.drain().map(|sample| sample.key_expr().to_string()));
         keys.len() >= 2 * FRAMES
     });
     for key in ["conicflow/objects", "conicflow/objects/markers"] {
-        assert_eq!(keys.iter().filter(|heard| *heard == key).count(), FRAMES, "{key} in {keys:?}");
+        assert_eq!(keys.iter().filter(|received| *received == key).count(), FRAMES, "{key} in {keys:?}");
     }
 }
 
 /// A static transform that was sent before the run began, and one that moves, give the pose of each image; the sink sends it on.
 #[test]
-fn the_pose_of_the_camera_comes_from_transforms_and_goes_out_as_one() {
+fn the_pose_of_the_camera_is_read_from_transforms_and_published_as_one() {
     let (endpoint, _router, session) = behind_router();
     let tf = |name: &str| RobotsTopic::new(&session, &format!("0/{name}/tf2_msgs::msg::dds_::TFMessage_/{TF_HASH}"));
     let pose = |x| [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
     let in_base = Stamped { stamp_ns: 0, frame_id: "base" };
     let _latched = tf("tf_static").latch(write_transform(in_base, FRAME, &pose(0.5), Vec::new()));
-    let heard = session.declare_subscriber(format!("0/tf/tf2_msgs::msg::dds_::TFMessage_/{TF_HASH}")).wait().unwrap();
+    let subscriber =
+        session.declare_subscriber(format!("0/tf/tf2_msgs::msg::dds_::TFMessage_/{TF_HASH}")).wait().unwrap();
     let text = by_ros(RECORDING, &endpoint).replace("[stage.extractor]", "world = \"map\"\n\n[stage.extractor]");
     // The robot's own frame has a parent already.
     let sink = "input = \"objects\"\nworld = \"map\"\nframe_id = \"seen_from\"";
@@ -335,7 +336,7 @@ fn the_pose_of_the_camera_comes_from_transforms_and_goes_out_as_one() {
     // The base goes a metre in five milliseconds: where it is between two transforms, that of the image is.
     const STEP_NS: u64 = 5_000_000;
     const BEGIN_NS: u64 = 1_700_000_000_000_000_000;
-    let (mut step, mut came) = (0, None);
+    let (mut step, mut last) = (0, None);
     run.wait_until("poses come back", || {
         let at = Stamped { stamp_ns: BEGIN_NS + step * STEP_NS, frame_id: FRAME };
         info.publish(info_of(&SMALL, at));
@@ -344,12 +345,12 @@ fn the_pose_of_the_camera_comes_from_transforms_and_goes_out_as_one() {
         moving.publish(write_transform(after, "base", &pose((step + 1) as f64), Vec::new()));
         step += 2;
         thread::sleep(Duration::from_millis(20));
-        let messages = heard.drain().map(|sample| sample.payload().to_bytes().into_owned());
+        let messages = subscriber.drain().map(|sample| sample.payload().to_bytes().into_owned());
         let of_sink = messages.filter(|message| message.windows(9).any(|bytes| bytes == b"seen_from"));
-        came = of_sink.last().or(came.take());
-        came.is_some() && step > 40
+        last = of_sink.last().or(last.take());
+        last.is_some() && step > 40
     });
-    let message = came.unwrap();
+    let message = last.unwrap();
     let mut reader = Reader::new(&message).unwrap();
     assert_eq!(reader.u32().unwrap(), 1);
     let stamped = reader.stamped().unwrap();
@@ -361,10 +362,10 @@ fn the_pose_of_the_camera_comes_from_transforms_and_goes_out_as_one() {
 }
 
 #[test]
-fn tracks_reach_ros_and_the_node_is_seen() {
+fn tracks_reach_ros_and_the_node_is_listed_there() {
     let (endpoint, _router, session) = behind_router();
-    let heard = Arc::<Mutex<Vec<Heard>>>::default();
-    let take = Arc::clone(&heard);
+    let received = Arc::<Mutex<Vec<ReceivedMessage>>>::default();
+    let take = Arc::clone(&received);
     let _subscriber = session
         .declare_subscriber("0/conicflow/**")
         .callback(move |sample| {
@@ -388,7 +389,7 @@ fn tracks_reach_ros_and_the_node_is_seen() {
         .unwrap();
     let playground = Playground::with_pipeline(&to_ros(&endpoint));
     let mut run = playground.start(&["run"]);
-    run.wait_until("tracks are heard", || heard.lock().unwrap().len() > 40);
+    run.wait_until("tracks are heard", || received.lock().unwrap().len() > 40);
     let node = wait_for_token(&session, "/NN/%/%/conicflow_ros");
     let zid = node.split('/').nth(2).unwrap().to_owned();
     assert_eq!(node, format!("@ros2_lv/0/{zid}/0/0/NN/%/%/conicflow_ros"));
@@ -398,34 +399,34 @@ fn tracks_reach_ros_and_the_node_is_seen() {
             "2/MP/%/%/conicflow_ros/%conicflow%tracks%markers/visualization_msgs::msg::dds_::MarkerArray_/{MARKERS_HASH}"
         ),
     ];
-    let there = tokens(&session);
+    let listed = tokens(&session);
     for end in ends {
-        assert!(there.contains(&format!("@ros2_lv/0/{zid}/0/{end}/::,10:,:,:,,")), "{end} in {there:?}");
+        assert!(listed.contains(&format!("@ros2_lv/0/{zid}/0/{end}/::,10:,:,:,,")), "{end} in {listed:?}");
     }
-    swap_and_go_on(&playground, &mut run, &heard);
+    swap_and_go_on(&playground, &mut run, &received);
     run.end();
     wait_until("the node is gone", || gone.lock().unwrap().len() >= 6);
-    check_heard(&heard.lock().unwrap());
+    check_received(&received.lock().unwrap());
 }
 
 /// The sink is replaced while it runs, and more is heard.
-fn swap_and_go_on(playground: &Playground, run: &mut Started, heard: &Mutex<Vec<Heard>>) {
+fn swap_and_go_on(playground: &Playground, run: &mut Started, received: &Mutex<Vec<ReceivedMessage>>) {
     playground.conicflow(&["swap", "ros", "--set", "frame_id=optical"]).expect_code(0);
     let is_new = |message: &[u8]| message.windows(7).any(|bytes| bytes == b"optical");
     run.wait_until("the successor is heard", || {
-        heard.lock().unwrap().iter().filter(|(_, message, _)| is_new(message)).count() > 20
+        received.lock().unwrap().iter().filter(|(_, message, _)| is_new(message)).count() > 20
     });
     let ros = playground.top_stage("ros");
     assert!(ros["counters"]["messages sent"].as_u64().unwrap() > 20, "{ros}");
 }
 
 /// Each message has its key, and an attachment whose numbers rise by one.
-fn check_heard(heard: &[Heard]) {
+fn check_received(received: &[ReceivedMessage]) {
     let detections = format!("0/conicflow/tracks/vision_msgs::msg::dds_::Detection3DArray_/{DETECTIONS_HASH}");
     let markers = format!("0/conicflow/tracks/markers/visualization_msgs::msg::dds_::MarkerArray_/{MARKERS_HASH}");
-    assert!(heard.iter().all(|(key, ..)| [&detections, &markers].contains(&key)), "nothing else");
+    assert!(received.iter().all(|(key, ..)| [&detections, &markers].contains(&key)), "nothing else");
     for key in [detections, markers] {
-        let of_key: Vec<_> = heard.iter().filter(|(heard, ..)| *heard == key).collect();
+        let of_key: Vec<_> = received.iter().filter(|(other_key, ..)| *other_key == key).collect();
         assert!(of_key.len() > 20, "{} on {key}", of_key.len());
         let (mut last, mut ends) = (None, 0);
         for (_, message, attachment) in of_key {
@@ -442,7 +443,7 @@ fn check_heard(heard: &[Heard]) {
 }
 
 #[test]
-fn hostile_messages_are_passed_over_and_told_once() {
+fn malformed_messages_are_skipped_and_reported_once() {
     let (endpoint, _router, session) = behind_router();
     let playground = Playground::with_pipeline(&by_ros(RECORDING, &endpoint));
     let mut run = playground.start(&["run", "--frames", "3"]);
@@ -477,11 +478,11 @@ fn hostile_messages_are_passed_over_and_told_once() {
     let ended = run.wait().expect_code(0);
     assert_eq!(ended.stderr.matches("is counted as `frames unreadable`").count(), 1, "{}", ended.stderr);
     assert_eq!(ended.stage("source").starts, 1);
-    ended.expect_told(&["frames unreadable"]);
+    ended.expect_texts(&["frames unreadable"]);
 }
 
 #[test]
-fn a_router_of_ros_may_come_late_and_come_again() {
+fn a_router_of_ros_may_start_late_and_restart() {
     let endpoint = loopback();
     let playground = Playground::with_pipeline(&to_ros(&endpoint));
     let mut run = playground.start(&["run"]);
@@ -489,16 +490,16 @@ fn a_router_of_ros_may_come_late_and_come_again() {
     for round in 1..=2 {
         let router = router(&endpoint);
         let session = robot(&endpoint);
-        let heard = session.declare_subscriber("0/conicflow/**").wait().unwrap();
+        let subscriber = session.declare_subscriber("0/conicflow/**").wait().unwrap();
         wait_for_token(&session, "/MP/%/%/conicflow_ros/%conicflow%tracks/");
-        assert!(heard.recv_timeout(Duration::from_secs(60)).unwrap().is_some());
+        assert!(subscriber.recv_timeout(Duration::from_secs(60)).unwrap().is_some());
         session.close().wait().unwrap();
         router.close().wait().unwrap();
         run.wait_until("the loss is counted", || is_without_router(&playground, round));
     }
     let ended = run.end();
     assert!(ended.stderr.matches("no router of ROS 2 is reached").count() >= 2, "{}", ended.stderr);
-    ended.expect_told(&["is reached\n"]);
+    ended.expect_texts(&["is reached\n"]);
     assert_eq!(ended.stage("ros").starts, 1);
 }
 
@@ -508,7 +509,7 @@ fn is_without_router(playground: &Playground, round: u64) -> bool {
 }
 
 #[test]
-fn silence_is_told_with_what_there_is_instead() {
+fn silence_is_reported_with_the_topics_that_exist() {
     let (endpoint, _router, session) = behind_router();
     let token = format!(
         "@ros2_lv/0/{}/0/1/MP/%/%/driver/%camera%depth%points/sensor_msgs::msg::dds_::PointCloud2_/RIHS01_0/::,10:,:,:,,",
@@ -524,23 +525,23 @@ fn silence_is_told_with_what_there_is_instead() {
 
 /// Images come at 50 Hz: none of them waits for the camera as long as that is waited for.
 #[test]
-fn images_whose_camera_nobody_tells_are_told_and_counted_while_nothing_is_sent() {
+fn images_without_a_camera_info_are_reported_and_counted_and_nothing_is_sent() {
     let (endpoint, _router, session) = behind_router();
     let playground = Playground::with_pipeline(&by_ros(RECORDING, &endpoint));
     let mut run = playground.start(&["run"]);
     wait_for_token(&session, "/MS/%/%/conicflow_source/%camera%depth%image_rect_raw/");
     let [mut topic, mut info] = camera_topics(&session);
     let stamped = Stamped { stamp_ns: 1, frame_id: FRAME };
-    let is_told = AtomicBool::new(false);
+    let has_camera = AtomicBool::new(false);
     let counted = || playground.top_stage("source")["counters"]["frames without camera"].as_u64().unwrap_or(0);
     // It goes on until the other end is dropped, also by a test that fails.
     let (goes_on, over) = channel::<()>();
     thread::scope(|scope| {
         let _goes_on = goes_on;
-        let is_told = &is_told;
+        let has_camera = &has_camera;
         scope.spawn(move || {
             while over.recv_timeout(Duration::from_millis(20)) == Err(RecvTimeoutError::Timeout) {
-                if is_told.load(Ordering::Relaxed) {
+                if has_camera.load(Ordering::Relaxed) {
                     info.publish(info_of(&SMALL, stamped));
                 }
                 topic.publish(wall(stamped));
@@ -549,21 +550,21 @@ fn images_whose_camera_nobody_tells_are_told_and_counted_while_nothing_is_sent()
         run.wait_until("they are counted", || counted() > 60);
         run.wait_for_text("nothing tells the camera of `/camera/depth/image_rect_raw`");
         assert!(playground.lines("objects.jsonl").is_empty());
-        is_told.store(true, Ordering::Relaxed);
+        has_camera.store(true, Ordering::Relaxed);
         run.wait_until("the camera is told", || playground.lines("objects.jsonl").len() > 3);
     });
-    run.end().expect_told(&["frames without camera"]);
+    run.end().expect_texts(&["frames without camera"]);
 }
 
 #[test]
-fn messages_are_those_of_an_independent_reader() {
+fn messages_are_read_by_an_independent_reader() {
     let Some(python) = python_with("rosbags", "has no rosbags; nothing was shown") else { return };
     let (endpoint, _router, session) = behind_router();
-    let heard = session.declare_subscriber("0/conicflow/**").wait().unwrap();
+    let subscriber = session.declare_subscriber("0/conicflow/**").wait().unwrap();
     let playground = Playground::with_pipeline(&to_ros(&endpoint));
     let run = playground.start(&["run"]);
     for number in 0..20 {
-        let sample = heard.recv_timeout(Duration::from_secs(60)).unwrap().unwrap();
+        let sample = subscriber.recv_timeout(Duration::from_secs(60)).unwrap().unwrap();
         let kind = sample.key_expr().as_str().split('/').rev().nth(1).unwrap().to_owned();
         let (package, name) = kind.split_once("::msg::dds_::").unwrap();
         let file = format!("{number}.{package}.{}", name.trim_end_matches('_'));
@@ -601,14 +602,14 @@ fn the_example_is_valid_and_can_be_pointed_at_a_robot() {
     playground.conicflow(&["validate", example, "--set", &set[0], "--set", &set[1]]).expect_code(0);
     let wrong =
         playground.conicflow(&["validate", example, "--set", "ros.connect=[]", "--set", "source.topic=\"a b\""]);
-    let told = wrong.expect_code(2);
-    let told = told.stdout + &told.stderr;
-    assert!(told.contains("`connect`: is missing") && told.contains("`a b` is no name of a topic"), "{told}");
+    let output = wrong.expect_code(2);
+    let output = output.stdout + &output.stderr;
+    assert!(output.contains("`connect`: is missing") && output.contains("`a b` is no name of a topic"), "{output}");
     let mut command = playground.command(&["validate", example]);
     let away = Started::new({
         command.env("CONICFLOW_BRIDGE", playground.path("no-such-program"));
         command
     });
-    let told = away.wait().expect_code(2);
-    assert!((told.stdout + &told.stderr).contains("no-such-program"));
+    let output = away.wait().expect_code(2);
+    assert!((output.stdout + &output.stderr).contains("no-such-program"));
 }

@@ -56,7 +56,7 @@ fn nothing_is_lost_through_a_router() {
 }
 
 #[test]
-fn peers_that_a_router_does_not_join_are_told_so() {
+fn peers_that_a_router_does_not_join_report_it() {
     let endpoint = loopback();
     let _router = router(&endpoint);
     let machines = by_router(TRACKING, &HALVES, [(); 2].map(|()| knows("peer", &[&endpoint])));
@@ -76,7 +76,7 @@ fn peers_that_a_router_does_not_join_are_told_so() {
 }
 
 #[test]
-fn a_router_may_come_late_and_come_again() {
+fn a_router_may_start_late_and_restart() {
     let endpoint = loopback();
     let machines = by_router(&live(TRACKING), &HALVES, [(); 2].map(|()| knows("client", &[&endpoint])));
     let mut runs = start_both(&machines);
@@ -95,7 +95,7 @@ fn a_router_may_come_late_and_come_again() {
 }
 
 #[test]
-fn short_messages_take_datagrams_through_a_router_too() {
+fn short_messages_use_datagrams_through_a_router_too() {
     let [stream, datagrams] = [loopback(), loopback().replace("tcp", "udp")];
     let places =
         [("source", "robot"), ("extractor", "robot"), ("assembler", "robot"), ("tracker", "base"), ("json", "base")];

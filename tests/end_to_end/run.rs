@@ -30,7 +30,7 @@ sink   = {{ program = {program}, input = "depth", path = "numbers.txt", delay_ms
 }
 
 #[test]
-fn a_run_ends_by_itself_where_one_reader_is_lossless_and_another_is_slow() {
+fn a_run_ends_by_itself_when_one_reader_is_lossless_and_another_slow() {
     let playground = slow_pipeline(60);
     let extractor = "
 [stage.extractor]
@@ -47,7 +47,7 @@ output = \"ellipses\"
 }
 
 #[test]
-fn the_default_pipeline_tracks_and_tells_of_all_its_stages() {
+fn the_default_pipeline_tracks_and_its_summary_names_all_stages() {
     let small = ["--set", "source.width=160", "--set", "source.height=120", "--set", "source.rate_hz=0"];
     let sets = [&small[..], &["--set", "source.frames=5"]].concat();
     let ended = Playground::new().conicflow(&[&["run"][..], &sets].concat()).expect_code(0);
@@ -55,13 +55,13 @@ fn the_default_pipeline_tracks_and_tells_of_all_its_stages() {
     assert!(last.ends_with("  frame 4  bouncing_ball"), "{}", ended.stdout);
     assert_eq!(ended.stages(), ["source", "extractor", "assembler", "tracker", "console"]);
     assert_eq!(ended.stage("source").messages, 5);
-    ended.expect_told(&["\ndefault: 5 frames in "]);
+    ended.expect_texts(&["\ndefault: 5 frames in "]);
     assert!(ended.stages().iter().all(|stage| ended.stage(stage).starts == 1), "{}", ended.stderr);
 }
 
 /// When a terminal closes, all processes that were started at it get SIGHUP.
 #[test]
-fn what_is_to_outlive_its_terminal_does() {
+fn a_run_started_with_nohup_outlives_its_terminal() {
     let playground = Playground::with_pipeline(TRACKING);
     let run = ["run", "--quiet", "--set", "source.rate_hz=100"];
     let mut run = Started::new(within(Command::new("nohup"), &playground.command(&run)));
@@ -76,7 +76,7 @@ fn what_is_to_outlive_its_terminal_does() {
 }
 
 #[test]
-fn without_that_a_run_ends_with_its_terminal() {
+fn a_run_started_without_nohup_ends_with_its_terminal() {
     let playground = Playground::with_pipeline(TRACKING);
     let mut run =
         Started::new(hearing_hangups(&playground.command(&["run", "--quiet", "--set", "source.rate_hz=100"])));
@@ -86,7 +86,7 @@ fn without_that_a_run_ends_with_its_terminal() {
 }
 
 #[test]
-fn quiet_runs_say_nothing() {
+fn quiet_runs_log_nothing() {
     let playground = Playground::with_pipeline(TRACKING);
     let ended = playground.conicflow(&["run", "--quiet", "--frames", "3"]).expect_code(0);
     assert_eq!((ended.stdout.as_str(), ended.stderr.as_str()), ("", ""));
@@ -138,7 +138,7 @@ fn a_slow_reader_loses_frames_and_each_of_them_is_counted() {
 }
 
 #[test]
-fn a_source_that_looks_through_a_hundred_thousand_files_does_not_hang() {
+fn a_source_that_surveys_a_hundred_thousand_files_does_not_count_as_hanging() {
     let text = RECORDING.replace("rate_hz = 0", "rate_hz = 0\nrestart = { when = \"on_failure\", hang_s = 1 }");
     let playground = Playground::in_memory().and_pipeline(&text);
     playground.record_with_camera(Scene::built_in("tabletop").unwrap().unwrap(), 5, 2);
@@ -171,7 +171,7 @@ fn a_single_frame_arrives_even_where_only_the_newest_is_wanted() {
 }
 
 #[test]
-fn a_run_ends_after_so_much_time() {
+fn a_run_ends_after_its_time_limit() {
     let playground = Playground::with_pipeline(TRACKING);
     let begun = Instant::now();
     let ended = playground.conicflow(&["run", "--for", "1s", "--set", "source.rate_hz=50"]).expect_code(0);
@@ -320,7 +320,7 @@ fn a_folder_of_pngs_is_played_in_natural_order_with_the_camera_beside_it() {
     let playground = recording(8..12);
     let ended = playground.conicflow(&["run"]).expect_code(0);
     expect_balls(&playground, &[8, 9, 10, 11]);
-    ended.expect_told(&["4 frames of 160x120, fx 150.00 fy 150.00 cx 79.50 cy 59.50"]);
+    ended.expect_texts(&["4 frames of 160x120, fx 150.00 fy 150.00 cx 79.50 cy 59.50"]);
 }
 
 #[test]
@@ -331,7 +331,7 @@ fn a_bad_frame_among_good_ones_is_passed_over_and_counted() {
     fs::write(playground.path("frames/img4.png"), &good[..good.len() / 2]).unwrap();
     let ended = playground.conicflow(&["run"]).expect_code(0);
     expect_balls(&playground, &[0, 1, 3, 5]);
-    ended.expect_told(&["source: frames unreadable: 2\n"]);
+    ended.expect_texts(&["source: frames unreadable: 2\n"]);
     for name in ["img2.png", "img4.png"] {
         assert!(
             ended.stderr.lines().any(|line| line.contains("passed over") && line.contains(name)),
@@ -342,7 +342,7 @@ fn a_bad_frame_among_good_ones_is_passed_over_and_counted() {
 }
 
 #[test]
-fn a_run_whose_recording_goes_while_it_is_played_says_how_much_of_it_was_read_and_fails() {
+fn a_run_whose_recording_disappears_reports_how_much_was_read_and_fails() {
     let playground = recording(0..40);
     let mut run = playground.start(&["run", "--set", "source.rate_hz=20"]);
     run.wait_until("it delivers", || playground.lines("objects.jsonl").len() > 3);
@@ -350,12 +350,12 @@ fn a_run_whose_recording_goes_while_it_is_played_says_how_much_of_it_was_read_an
     let ended = run.wait().expect_code(1);
     let sent = ended.stage("source").messages;
     assert!((4..40).contains(&sent) && playground.lines("objects.jsonl").len() as u64 == sent, "{}", ended.stderr);
-    let told = format!("{} of 40 frames could not be read any more when their turn came, {sent} were: `", 40 - sent);
-    ended.expect_told(&[&told, "No such file or directory", "not complete: a stage was lost"]);
+    let report = format!("{} of 40 frames could not be read any more when their turn came, {sent} were: `", 40 - sent);
+    ended.expect_texts(&[&report, "No such file or directory", "not complete: a stage was lost"]);
 }
 
 #[test]
-fn a_run_that_fails_before_it_has_anything_to_write_leaves_the_lines_of_the_last_one() {
+fn a_run_that_fails_before_its_first_line_leaves_the_lines_of_the_last_run() {
     let playground = recording(8..10);
     playground.conicflow(&["run"]).expect_code(0);
     let lines = playground.lines("objects.jsonl");
@@ -376,14 +376,14 @@ fn a_run_that_fails_before_it_has_anything_to_write_leaves_the_lines_of_the_last
     );
     let ended = playground.conicflow(&["run"]);
     assert_eq!(playground.lines("objects.jsonl"), lines, "{}", ended.stderr);
-    ended.expect_told(&["nothing came to be written: `", "objects.jsonl` still holds what an earlier run wrote"]);
+    ended.expect_texts(&["nothing came to be written: `", "objects.jsonl` still holds what an earlier run wrote"]);
 }
 
 #[test]
 fn the_level_of_the_log_is_that_of_the_stages_as_well() {
     let playground = recording(8..10);
-    let told = |level: &str| playground.conicflow(&["run", "--log", level]).expect_code(0).stderr;
-    let (usual, all, faults) = (told("info"), told("debug"), told("error"));
+    let log = |level: &str| playground.conicflow(&["run", "--log", level]).expect_code(0).stderr;
+    let (usual, all, faults) = (log("info"), log("debug"), log("error"));
     assert!(usual.contains("2 frames of 160x120") && !usual.contains("DEBUG"), "{usual}");
     assert!(all.contains("2 frames of 160x120"), "{all}");
     for frame in [0, 1] {
@@ -413,10 +413,10 @@ fn a_run_that_finds_objects_lists_its_reasons_with_the_level_debug_alone() {
 }
 
 #[test]
-fn a_log_has_the_time_of_each_line_where_that_is_wanted() {
+fn a_log_has_the_time_of_each_line_on_request() {
     let playground = recording(8..10);
-    for (said, is_timed) in [("1", true), ("", false)] {
-        let output = playground.command(&["run"]).env("CONICFLOW_LOG_TIME", said).output().unwrap();
+    for (setting, is_timed) in [("1", true), ("", false)] {
+        let output = playground.command(&["run"]).env("CONICFLOW_LOG_TIME", setting).output().unwrap();
         let stderr = String::from_utf8(output.stderr).unwrap();
         let line =
             stderr.lines().find(|line| line.contains("2 frames of 160x120")).unwrap_or_else(|| panic!("{stderr}"));

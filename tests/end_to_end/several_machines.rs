@@ -101,7 +101,7 @@ fn pipelines_beside_each_other_on_the_same_machines_do_not_meet() {
 }
 
 #[test]
-fn files_and_programs_of_other_machines_need_not_be_here() {
+fn files_and_programs_of_other_machines_need_not_exist_on_this_one() {
     const TEXT: &str = r#"
 name = "apart"
 
@@ -146,7 +146,7 @@ fn the_pipeline_for_two_machines_runs_as_the_readme_says() {
 }
 
 #[test]
-fn a_machine_that_stays_away_is_waited_for_as_long_as_the_file_says_and_what_it_misses_is_told() {
+fn a_missing_machine_is_waited_for_during_the_outage_and_the_messages_it_misses_are_reported() {
     const FRAMES: u64 = 300;
     let endpoint = loopback();
     let text = apart(&endpoint, &endpoint).replace("[machine.robot]\n", "[machine.robot]\noutage_s = 1\n");
@@ -158,14 +158,14 @@ fn a_machine_that_stays_away_is_waited_for_as_long_as_the_file_says_and_what_it_
     wait_until("no process of `base` is left", || base.processes().is_empty());
     let ended = robot_run.wait().expect_code(1);
     let [sent, lost, _] = link(&ended, "base", "ellipses");
-    let came = tracks(&base).len() as u64;
+    let received = tracks(&base).len() as u64;
     // What was on its way when the base was killed may count as either.
     let arrived = sent - lost;
-    assert!(sent == FRAMES && lost > 100 && arrived.abs_diff(came) < 64, "{came} came, {lost} of {sent} lost");
-    let told = format!("{lost} messages of the lossless topic `ellipses` did not reach all machines that read it");
+    assert!(sent == FRAMES && lost > 100 && arrived.abs_diff(received) < 64, "{received} came, {lost} of {sent} lost");
+    let loss = format!("{lost} messages of the lossless topic `ellipses` did not reach all machines that read it");
     let incomplete =
         format!("not complete: machine `base` lost {lost} of {FRAMES} messages of the lossless topic `ellipses`");
-    ended.expect_told(&[&told, &incomplete]);
+    ended.expect_texts(&[&loss, &incomplete]);
 }
 
 /// A lossless edge from `robot` to `base`, which `listens` or connects, and a source that goes on for ever.
@@ -177,7 +177,7 @@ fn endless(base_listens: bool) -> String {
 }
 
 #[test]
-fn of_two_runs_that_send_as_one_machine_the_first_counts_and_the_second_after_it_and_all_are_told() {
+fn of_two_runs_that_send_as_one_machine_the_first_counts_until_it_ends_and_all_machines_report_it() {
     let text = endless(true);
     let ([first, base], second) = (machines(&text), Playground::with_pipeline(&text));
     let (first_run, mut base_run) = (start(&first, "robot"), start(&base, "base"));
@@ -206,7 +206,7 @@ fn of_two_runs_that_send_as_one_machine_the_first_counts_and_the_second_after_it
 }
 
 #[test]
-fn of_two_runs_that_receive_as_one_machine_the_first_gets_all_and_all_are_told() {
+fn of_two_runs_that_receive_as_one_machine_the_first_gets_all_and_all_machines_report_it() {
     let text = endless(false);
     let ([robot, first], second) = (machines(&text), Playground::with_pipeline(&text));
     let (mut robot_run, mut first_run) = (start(&robot, "robot"), start(&first, "base"));
@@ -258,11 +258,11 @@ fn begin_both_anew(is_killed: bool, robot_first: bool) {
 }
 
 #[test]
-fn both_machines_may_be_ended_and_begun_anew_in_either_order_and_none_of_a_run_is_lost() {
+fn both_machines_may_be_ended_and_restarted_in_either_order_and_no_message_of_a_run_is_lost() {
     [true, false].into_iter().for_each(|robot_first| begin_both_anew(false, robot_first));
 }
 
 #[test]
-fn both_machines_may_be_killed_and_begun_anew_in_either_order_and_none_of_a_run_is_lost() {
+fn both_machines_may_be_killed_and_restarted_in_either_order_and_no_message_of_a_run_is_lost() {
     [true, false].into_iter().for_each(|robot_first| begin_both_anew(true, robot_first));
 }

@@ -70,7 +70,7 @@ fn latencies(playground: &Playground) -> (f64, f64) {
 }
 
 #[test]
-fn a_long_run_uses_no_more_at_its_end_than_at_its_begin() {
+fn a_long_run_uses_no_more_memory_and_files_at_its_end_than_at_its_beginning() {
     let asked = std::env::var(SECONDS).ok().map(|text| text.parse().unwrap());
     let seconds = asked.unwrap_or(DEFAULT_SECONDS);
     let live = TRACKING.replace("lossless", "latest");

@@ -271,9 +271,9 @@ impl Playground {
 
     /// What `top --once` shows of the only pipeline.
     pub fn top(&self) -> Json {
-        let look = self.conicflow(&["top", "--once"]).expect_code(0);
-        let seen: Json = serde_json::from_str(&look.stdout).unwrap();
-        seen["pipelines"][0].clone()
+        let ended = self.conicflow(&["top", "--once"]).expect_code(0);
+        let state: Json = serde_json::from_str(&ended.stdout).unwrap();
+        state["pipelines"][0].clone()
     }
 
     /// What it shows of a stage.
@@ -575,12 +575,12 @@ impl Ended {
 
     /// Makes sure that it ended well, or said what a lossless reader has lost, with exit code 1.
     pub fn expect_survived(self) -> Self {
-        let told = self.stderr.contains(" messages of the lossless topic `");
-        self.expect_code(i32::from(told))
+        let has_losses = self.stderr.contains(" messages of the lossless topic `");
+        self.expect_code(i32::from(has_losses))
     }
 
     /// Makes sure that it has written each of these to standard error.
-    pub fn expect_told(&self, texts: &[&str]) {
+    pub fn expect_texts(&self, texts: &[&str]) {
         for text in texts {
             assert!(self.stderr.contains(text), "no `{text}` in: {}", self.stderr);
         }

@@ -91,7 +91,7 @@ fn a_stage_is_replaced_by_one_with_other_parameters_and_by_another_node() {
 }
 
 #[test]
-fn what_does_not_validate_or_cannot_start_leaves_the_stage_at_work() {
+fn a_replacement_that_is_invalid_or_cannot_start_leaves_the_stage_at_work() {
     let (playground, mut run) = at_work(TRACKING, 30);
     let (before, plan) = (stages_of(run.id()), playground.runtime().join("run/tracking/plan.json"));
     let planned = fs::read(&plan).unwrap();
@@ -102,9 +102,9 @@ fn what_does_not_validate_or_cannot_start_leaves_the_stage_at_work() {
         (vec!["json", "--set", "input=objects"], "cannot join stage `json` to other topics"),
         (vec!["trackr"], "did you mean `tracker`"),
     ];
-    for (arguments, told) in refused {
+    for (arguments, expected) in refused {
         let ended = playground.conicflow(&[&["swap"], &arguments[..]].concat()).expect_code(2);
-        assert!(ended.stderr.contains(told) && ended.stderr.contains("hint: "), "{arguments:?}: {}", ended.stderr);
+        assert!(ended.stderr.contains(expected) && ended.stderr.contains("hint: "), "{arguments:?}: {}", ended.stderr);
         wait_for_lines(&mut run, &playground);
         assert_eq!(stages_of(run.id()), before, "{arguments:?}");
         assert!(
@@ -118,7 +118,7 @@ fn what_does_not_validate_or_cannot_start_leaves_the_stage_at_work() {
 }
 
 #[test]
-fn a_source_that_cannot_begin_gives_its_place_back() {
+fn a_source_that_cannot_start_gives_its_place_back() {
     let (playground, mut run) = at_work(TRACKING, 30);
     fs::create_dir(playground.path("frames")).unwrap();
     let refused = playground.conicflow(&["swap", "source", "--node", "image_source", "--set", "path=frames/"]);
@@ -128,25 +128,25 @@ fn a_source_that_cannot_begin_gives_its_place_back() {
 }
 
 #[test]
-fn a_source_whose_frames_were_all_sent_before_it_came_says_so() {
+fn a_new_source_whose_frames_were_all_sent_before_reports_it() {
     let (playground, run) = at_work(TRACKING, 30);
     playground.record_with_camera(Scene::built_in("tabletop").unwrap().unwrap(), 5, 2);
     playground.conicflow(&["swap", "source", "--node", "image_source", "--set", "path=frames"]).expect_code(0);
     let ended = run.wait().expect_code(0);
-    ended.expect_told(&["stage `source` ends with nothing made: ", "goes on behind what that has sent"]);
+    ended.expect_texts(&["stage `source` ends with nothing made: ", "goes on behind what that has sent"]);
     playground.expect_each_frame(&ended);
 }
 
 #[test]
-fn an_answer_that_cannot_be_written_comes_later_and_ends_no_run() {
+fn an_answer_that_cannot_be_written_is_written_later_and_ends_no_run() {
     let (playground, mut run) = at_work(TRACKING, 30);
     let in_the_way = playground.runtime().join("run/tracking/swap.answer.new");
     fs::create_dir(&in_the_way).unwrap();
-    let asked = playground.start(&["swap", "tracker"]);
+    let swap = playground.start(&["swap", "tracker"]);
     run.wait_for_text("the result of a swap cannot be reported, of stage `tracker`");
     wait_for_lines(&mut run, &playground);
     fs::remove_dir(&in_the_way).unwrap();
-    asked.wait().expect_code(0);
+    swap.wait().expect_code(0);
     assert_eq!(run.end().stage("tracker").starts, 2);
 }
 
@@ -173,8 +173,8 @@ fn a_hundred_swaps_of_a_live_run_cost_no_memory_and_three_frames_each_at_most() 
         all.extend(used(&stages_of(run.id())));
     }
     assert!(all.len() > first.len() + 100, "only {} files were used, which shows little", all.len());
-    let there = all.iter().filter(|path| path.exists()).count();
-    assert!(there <= first.len(), "{there} files are there, {} were before", first.len());
+    let existing = all.iter().filter(|path| path.exists()).count();
+    assert!(existing <= first.len(), "{existing} files are there, {} were before", first.len());
     let after = neighbours();
     missed.sort_unstable();
     eprintln!("frames missing at a swap: median {}, at most {}", missed[50], missed[99]);

@@ -51,7 +51,7 @@ fn run(host: &Host, playground: &Playground, machine: &str) -> Started {
 }
 
 #[test]
-fn three_hosts_share_a_pipeline_and_lose_nothing_with_a_cable_that_is_pulled() {
+fn three_hosts_share_a_pipeline_and_lose_nothing_when_a_cable_is_pulled() {
     let Some(star) = Star::new() else { return };
     // Images go to the desk, ellipses on to the base; objects come back to the desk, tracks to the robot.
     let places =

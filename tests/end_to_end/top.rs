@@ -37,7 +37,7 @@ fn screens() -> (OwnedFd, Receiver<String>) {
 }
 
 #[test]
-fn it_fits_a_terminal_and_is_drawn_anew() {
+fn top_fits_its_terminal_and_is_redrawn() {
     let (playground, run) = at_work(TRACKING, 50);
     let (inner, screens) = screens();
     let mut command = playground.command(&["top"]);

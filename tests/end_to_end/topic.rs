@@ -43,7 +43,7 @@ fn processor_ns(processes: impl IntoIterator<Item = u32>) -> u64 {
 /// stages take of the processors for a frame. What a machine does besides disturbs most turns when it does much, but makes no
 /// quarter of them better: if looking on cost something, it would in the best quarter, too.
 #[test]
-fn who_looks_on_costs_a_run_that_goes_flat_out_no_processor_time() {
+fn observing_a_run_at_full_speed_costs_it_no_processor_time() {
     const PAIRS: usize = 8;
     const FRAMES: u64 = 150;
     let (playground, mut run) = at_work(TRACKING, 0);
@@ -79,20 +79,20 @@ fn who_looks_on_costs_a_run_that_goes_flat_out_no_processor_time() {
 fn echo_prints_what_the_sink_writes_and_ends_with_the_run() {
     let (playground, run) = at_work(TRACKING, 50);
     let (echo, output) = echo(&playground, "tracks");
-    let seen = std::thread::spawn(move || output.lines().map(Result::unwrap).collect::<Vec<_>>());
+    let echoed = std::thread::spawn(move || output.lines().map(Result::unwrap).collect::<Vec<_>>());
     playground.conicflow(&["topic", "echo", "tracks", "--count", "60"]).expect_code(0);
     end_without_loss(run, &playground);
     echo.wait().expect_code(0);
     let mut written = playground.json_lines("tracks.jsonl");
-    let mut seen: Vec<Json> = seen.join().unwrap().iter().map(|line| serde_json::from_str(line).unwrap()).collect();
-    assert!(seen.len() >= 60, "{} lines", seen.len());
-    for line in written.iter_mut().chain(&mut seen) {
+    let mut echoed: Vec<Json> = echoed.join().unwrap().iter().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert!(echoed.len() >= 60, "{} lines", echoed.len());
+    for line in written.iter_mut().chain(&mut echoed) {
         line.as_object_mut().unwrap().remove("latency_ms").unwrap();
     }
-    for line in &seen {
+    for line in &echoed {
         assert_eq!(*line, written[line["sequence"].as_u64().unwrap() as usize]);
     }
-    assert!(seen.is_sorted_by_key(|line| line["sequence"].as_u64()), "frames went back");
+    assert!(echoed.is_sorted_by_key(|line| line["sequence"].as_u64()), "frames went back");
 }
 
 #[test]
@@ -110,7 +110,7 @@ fn images_are_summed_up() {
 }
 
 #[test]
-fn who_looks_on_and_is_stopped_or_killed_costs_nothing() {
+fn an_observer_that_is_stopped_or_killed_costs_the_run_nothing() {
     let (playground, mut run) = at_work(TRACKING, 0);
     let (stopped, _stopped_output) = echo(&playground, "depth");
     signal(stopped.id(), Signal::STOP);
@@ -127,7 +127,7 @@ fn who_looks_on_and_is_stopped_or_killed_costs_nothing() {
 }
 
 #[test]
-fn a_reader_of_the_output_that_goes_ends_it_without_a_word() {
+fn echo_ends_silently_when_the_reader_of_its_output_has_gone() {
     let (playground, _run) = at_work(TRACKING, 50);
     let (echo, output) = echo(&playground, "tracks");
     drop(output);
@@ -136,12 +136,12 @@ fn a_reader_of_the_output_that_goes_ends_it_without_a_word() {
 }
 
 #[test]
-fn the_ninth_who_looks_on_is_told_that_there_is_no_place() {
+fn the_ninth_observer_is_refused() {
     let (playground, run) = at_work(TRACKING, 50);
     let lookers: Vec<_> = (0..8).map(|_| echo(&playground, "tracks")).collect();
     let ended = playground.conicflow(&["topic", "echo", "tracks"]).expect_code(2);
     assert!(ended.stderr.starts_with("error: topic `tracks` has 8 onlookers already"), "{}", ended.stderr);
-    ended.expect_told(&["\n  hint: "]);
+    ended.expect_texts(&["\n  hint: "]);
     lookers.iter().for_each(|(looker, _)| signal(looker.id(), Signal::KILL));
     lookers.into_iter().for_each(|(looker, _)| drop(looker.wait()));
     playground.conicflow(&["topic", "echo", "tracks", "--count", "50"]).expect_code(0);
@@ -174,7 +174,7 @@ fn rates_and_bytes_are_those_that_were_sent() {
 }
 
 #[test]
-fn the_list_tells_what_each_topic_carries_and_for_whom() {
+fn the_list_shows_the_type_and_the_readers_of_each_topic() {
     let (playground, _run) = at_work(TRACKING, 50);
     let list = playground.conicflow(&["topic", "list"]).expect_code(0);
     let rows: Vec<Vec<_>> = list.stdout.lines().skip(1).map(|line| line.split_whitespace().collect()).collect();
@@ -186,7 +186,7 @@ fn the_list_tells_what_each_topic_carries_and_for_whom() {
 }
 
 #[test]
-fn a_topic_that_nobody_writes_now_is_listed_and_that_is_told() {
+fn a_topic_without_a_running_writer_is_listed_as_such() {
     let other = "\n[stage.other]\nnode = \"json_sink\"\ninput = \"objects\"\npath = \"objects.jsonl\"\n";
     let never = TRACKING.replace("[stage.tracker]\n", "[stage.tracker]\nrestart = \"never\"\n");
     let (playground, mut run) = at_work(&format!("{never}{other}"), 50);
@@ -203,7 +203,7 @@ fn a_topic_that_nobody_writes_now_is_listed_and_that_is_told() {
 }
 
 #[test]
-fn what_is_not_there_is_told_with_a_hint() {
+fn unknown_topics_and_pipelines_are_refused_with_a_hint() {
     let playground = Playground::with_pipeline(TRACKING);
     let ended = playground.conicflow(&["topic", "list"]).expect_code(2);
     let expected = format!(

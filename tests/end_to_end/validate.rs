@@ -47,15 +47,15 @@ fn lines_of_errors(text: &str) -> Vec<usize> {
 }
 
 #[test]
-fn all_faults_are_told_at_once_each_with_its_place_and_a_hint_in_the_order_of_the_lines() {
+fn all_faults_are_reported_at_once_with_place_and_hint_in_the_order_of_the_lines() {
     let playground = Playground::new();
-    let here = folder().canonicalize().unwrap();
+    let folder_path = folder().canonicalize().unwrap();
     let mut differing = Vec::new();
     for file in faulty_files() {
         let ended = refused(&playground, "validate", &file);
         assert_eq!((ended.code, ended.stdout.as_str()), (Some(2), ""), "{}: {}", file.display(), ended.stderr);
         assert!(lines_of_errors(&ended.stderr).is_sorted(), "{}: {}", file.display(), ended.stderr);
-        let text = ended.stderr.replace(here.to_str().unwrap(), "[folder]");
+        let text = ended.stderr.replace(folder_path.to_str().unwrap(), "[folder]");
         let expected = file.with_extension("txt");
         if std::env::var_os("UPDATE_EXPECT").is_some() {
             fs::write(expected, text).unwrap();
@@ -67,7 +67,7 @@ fn all_faults_are_told_at_once_each_with_its_place_and_a_hint_in_the_order_of_th
 }
 
 #[test]
-fn nothing_starts_from_a_faulty_file() {
+fn a_faulty_file_starts_no_stage() {
     let playground = Playground::new();
     let before = names_in_folder();
     for file in faulty_files() {
@@ -87,7 +87,7 @@ fn a_sound_file_is_valid() {
 }
 
 #[test]
-fn what_is_odd_but_works_is_a_warning() {
+fn settings_that_work_but_are_probably_mistakes_give_a_warning() {
     let (without_sink, _) = SOUND.split_once("json ").unwrap();
     let playground = Playground::with_pipeline(without_sink);
     let ended = playground.conicflow(&["validate"]).expect_code(0);
@@ -102,8 +102,8 @@ fn what_is_odd_but_works_is_a_warning() {
     let again = "\n[stage.again]\nnode = \"row_ellipse_extractor\"\ninput = \"depth\"\noutput = \"ellipses\"\n";
     let playground = Playground::with_pipeline(&format!("{SOUND}{again}"));
     let ended = playground.conicflow(&["validate"]).expect_code(0);
-    let told = "`extractor` and `again` write the same frames of `source` into the topic `ellipses`";
-    assert!(ended.stdout.starts_with("warning: ") && ended.stdout.contains(told), "{}", ended.stdout);
+    let warning = "`extractor` and `again` write the same frames of `source` into the topic `ellipses`";
+    assert!(ended.stdout.starts_with("warning: ") && ended.stdout.contains(warning), "{}", ended.stdout);
 }
 
 #[test]
@@ -142,16 +142,16 @@ fn overrides_are_checked_as_the_file_is() {
 }
 
 #[test]
-fn parameters_of_the_papers_way_stand_in_tables_of_their_own() {
+fn parameters_of_the_papers_method_have_tables_of_their_own() {
     let playground = Playground::with_pipeline(SOUND);
     let sets = ["validate", "--set", "extractor.arcs=conic", "--set", "extractor.conic.min_arc_deg=45"];
     playground.conicflow(&sets).expect_code(0);
     let ended = playground.conicflow(&["validate", "--set", "extractor.min_arc_deg=45"]).expect_code(2);
-    ended.expect_told(&["unknown key `min_arc_deg` in stage `extractor`"]);
+    ended.expect_texts(&["unknown key `min_arc_deg` in stage `extractor`"]);
 }
 
 #[test]
-fn overrides_take_the_place_of_what_the_file_says() {
+fn overrides_replace_values_of_the_file() {
     let playground = Playground::with_pipeline(SOUND);
     let sets = ["source.width=64", "source.height=48", "source.noise.floor_m=0.002", "json.path=other.jsonl"];
     let small: Vec<_> = sets.iter().flat_map(|set| ["--set", set]).collect();
@@ -168,18 +168,18 @@ fn more_stages_than_a_run_can_start_are_refused() {
     let source = |index: usize| format!("\n[stage.s{index}]\nnode = \"synthetic_source\"\noutput = \"depth{index}\"\n");
     let with = |stages: usize| format!("name = \"many\"\n{}", (0..stages).map(source).collect::<String>());
     let ended = Playground::with_pipeline(&with(501)).conicflow(&["validate"]).expect_code(2);
-    ended.expect_told(&["the pipeline has 501 stages, at most 500 can run"]);
+    ended.expect_texts(&["the pipeline has 501 stages, at most 500 can run"]);
     Playground::with_pipeline(&with(500)).conicflow(&["validate"]).expect_code(0);
 }
 
 /// Recordings are often called by their date.
 #[test]
-fn text_that_looks_like_a_number_or_a_date_is_told_how_to_be_written() {
+fn the_hint_for_text_that_looks_like_a_number_or_a_date_says_how_to_write_it() {
     let playground = Playground::with_pipeline(RECORDING);
     for name in ["20240501_120000", "2024-05-01", "true"] {
         let set = format!("source.path={name}");
         let ended = playground.conicflow(&["validate", "--set", &set]).expect_code(2);
-        ended.expect_told(&[&format!("hint: text goes in quotes: --set 'source.path=\"{name}\"'; ")]);
+        ended.expect_texts(&[&format!("hint: text goes in quotes: --set 'source.path=\"{name}\"'; ")]);
         let quoted = format!("source.path=\"{name}\"");
         let ended = playground.conicflow(&["validate", "--set", &quoted]);
         assert!(!ended.stderr.contains("wants a string"), "{}", ended.stderr);

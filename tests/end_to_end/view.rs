@@ -41,8 +41,8 @@ pub fn exchange(host: &str, request: &str) -> Answer {
         if line.trim().is_empty() {
             break;
         }
-        if let Some(told) = line.to_ascii_lowercase().strip_prefix("content-length:") {
-            length = told.trim().parse().unwrap();
+        if let Some(value) = line.to_ascii_lowercase().strip_prefix("content-length:") {
+            length = value.trim().parse().unwrap();
         }
         head.push_str(&line);
     }
@@ -57,7 +57,7 @@ impl Answer {
     }
 
     /// The JSON text of an answer to `/look`, and its pixels.
-    fn look(&self) -> (Json, Vec<u16>) {
+    fn update(&self) -> (Json, Vec<u16>) {
         assert_eq!(self.status, 200, "{}", self.text());
         let (length, rest) = self.body.split_at(4);
         let length = u32::from_le_bytes(length.try_into().unwrap()) as usize;
@@ -100,30 +100,30 @@ impl Page {
     }
 
     /// Asks as the browser `name` for what is newer than `frames` frames.
-    fn look(&self, name: &str, frames: u64) -> (Json, Vec<u16>) {
-        self.get(&format!("/look?browser={name}&frames={frames}&columns=32")).look()
+    fn ask_for_update(&self, name: &str, frames: u64) -> (Json, Vec<u16>) {
+        self.get(&format!("/look?browser={name}&frames={frames}&columns=32")).update()
     }
 
     /// The next frame for which this holds.
     pub fn frame(&self, what: &str, mut holds: impl FnMut(&Json) -> bool) -> (Json, Vec<u16>) {
         let mut frames = 0;
         self.wait(what, || {
-            let (json, pixels) = self.look("test", frames);
+            let (json, pixels) = self.ask_for_update("test", frames);
             frames = json["frames"].as_u64().unwrap();
             let holds = !json["frame"].is_null() && holds(&json);
             (holds, json, pixels)
         })
     }
 
-    /// What is told when this holds, with the frame that is shown then, if there is one. It need not be a new one.
-    pub fn told(&self, what: &str, mut holds: impl FnMut(&Json) -> bool) -> (Json, Vec<u16>) {
+    /// The state of the page once this holds, with the frame that is shown then, if there is one. It need not be a new one.
+    pub fn wait_for_state(&self, what: &str, mut holds: impl FnMut(&Json) -> bool) -> (Json, Vec<u16>) {
         self.wait(what, || {
-            let (json, pixels) = self.look("test", u64::MAX);
+            let (json, pixels) = self.ask_for_update("test", u64::MAX);
             (holds(&json), json, pixels)
         })
     }
 
-    /// Asks until it is as wanted; else tells what was answered last.
+    /// Asks until the answer is as wanted; panics with the last answer if it never is.
     fn wait(&self, what: &str, mut ask: impl FnMut() -> (bool, Json, Vec<u16>)) -> (Json, Vec<u16>) {
         let since = Instant::now();
         loop {
@@ -136,8 +136,8 @@ impl Page {
         }
     }
 
-    /// Tells a wish.
-    pub fn wish(&self, command: &Json) -> u16 {
+    /// Sends a command and returns the status of the answer.
+    pub fn send_command(&self, command: &Json) -> u16 {
         let (host, body) = (&self.host, command.to_string());
         let head = format!(
             "POST /command HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\nContent-Type: application/json"
@@ -151,10 +151,10 @@ pub fn items(json: &Json) -> &[Json] {
 }
 
 #[test]
-fn a_run_is_shown_as_it_goes_on_and_waited_for_before_and_after() {
+fn a_live_run_is_shown_and_waited_for_before_and_after() {
     let playground = Playground::with_pipeline(TRACKING);
     let page = Page::open(&playground, &[]);
-    let (waiting, _) = page.look("test", 0);
+    let (waiting, _) = page.ask_for_update("test", 0);
     assert!(waiting["frame"].is_null() && waiting["about"]["notice"].as_str().unwrap().contains("no pipeline runs"));
 
     let run = playground.start(&SLOWLY);
@@ -168,36 +168,36 @@ fn a_run_is_shown_as_it_goes_on_and_waited_for_before_and_after() {
     assert!(!track["seen"].as_array().unwrap().is_empty(), "it has an outline: {track}");
 
     // Told once a second: what the stages do, and what they count.
-    let (json, _) = page.told("the graph", |json| !json["about"]["graph"].is_null());
+    let (json, _) = page.wait_for_state("the graph", |json| !json["about"]["graph"].is_null());
     let graph = &json["about"]["graph"];
     assert_eq!((graph["stages"].as_array().unwrap().len(), json["about"]["title"].as_str()), (5, Some("tracking")));
     let stages = graph["activity"]["stages"].as_array().unwrap();
     assert!(stages.iter().any(|stage| !stage["counters"].as_object().unwrap().is_empty()), "{stages:?}");
 
     drop(run);
-    page.told("that the run is over", |json| {
+    page.wait_for_state("that the run is over", |json| {
         json["about"]["notice"].as_str().is_some_and(|notice| notice.contains("no pipeline runs"))
     });
 }
 
 #[test]
-fn several_pipelines_are_offered_and_another_one_can_be_chosen() {
+fn several_pipelines_are_offered_and_the_user_can_choose_another() {
     let playground = Playground::with_pipeline(TRACKING);
     playground
         .write("second.toml", &TRACKING.replace("\"tracking\"", "\"second\"").replace("tracks.jsonl", "second.jsonl"));
     let _first = playground.start(&SLOWLY);
     let page = Page::open(&playground, &["--pipeline", "tracking"]);
-    page.told("the first", |json| json["about"]["pipelines"] == json!(["tracking"]));
+    page.wait_for_state("the first", |json| json["about"]["pipelines"] == json!(["tracking"]));
     let _second = playground.start(&["run", "second.toml", "--set", "source.rate_hz=30"]);
     let both = json!(["second", "tracking"]);
-    let (json, _) = page.told("both", |json| json["about"]["pipelines"] == both);
+    let (json, _) = page.wait_for_state("both", |json| json["about"]["pipelines"] == both);
     assert_eq!(json["about"]["title"], "tracking");
-    assert_eq!(page.wish(&json!({ "do": "pipeline", "name": "second" })), 204);
+    assert_eq!(page.send_command(&json!({ "do": "pipeline", "name": "second" })), 204);
     page.frame("the other one", |json| json["about"]["title"] == "second" && !items(json).is_empty());
 }
 
 #[test]
-fn who_comes_from_elsewhere_is_refused_and_what_makes_no_sense_is_told() {
+fn requests_from_other_sites_are_refused_and_malformed_ones_are_reported() {
     let playground = Playground::new();
     let page = Page::open(&playground, &[]);
     let own = page.host.clone();
@@ -216,7 +216,7 @@ fn who_comes_from_elsewhere_is_refused_and_what_makes_no_sense_is_told() {
     assert_eq!(status("rubbish\r\n\r\n"), 400);
     assert_eq!(status(&format!("GET / HTTP/1.1\r\nHost: {own}\r\nHost: robot.example\r\n\r\n")), 400, "two names");
     assert_eq!(status(&format!("GET /{} HTTP/1.1\r\n", "a".repeat(9000))), 431);
-    assert_eq!(page.wish(&json!({ "do": "stop" })), 400);
+    assert_eq!(page.send_command(&json!({ "do": "stop" })), 400);
     let post = format!("POST /command HTTP/1.1\r\nHost: {own}\r\n");
     assert_eq!(status(&format!("{post}Content-Length: 2\r\n\r\n{{}}")), 415, "a form of another page");
     assert_eq!(status(&format!("{post}Content-Type: application/json\r\nContent-Length: 999999999\r\n\r\n")), 413);
@@ -244,13 +244,13 @@ fn other_machines_need_the_token() {
     program.wait_until("it is at work", || true);
 
     let refused = playground.conicflow(&["view", "--listen", "0.0.0.0:0", "--token", "short"]).expect_code(2);
-    refused.expect_told(&["the token is not at least 12 letters"]);
+    refused.expect_texts(&["the token is not at least 12 letters"]);
     let refused = playground.conicflow(&["view", "--listen", &format!("127.0.0.1:{port}")]).expect_code(2);
-    refused.expect_told(&["another program is there"]);
+    refused.expect_texts(&["another program is there"]);
 }
 
 #[test]
-fn a_hundred_browsers_and_those_that_leave_in_the_middle_cost_the_run_nothing() {
+fn a_hundred_browsers_and_broken_connections_cost_the_run_nothing() {
     const FRAMES: &str = "240";
     let playground = Playground::with_pipeline(TRACKING);
     let page = Page::open(&playground, &[]);
@@ -300,11 +300,11 @@ fn a_recording_is_played_paused_stepped_and_sought() {
     let recorded = playground.json_lines("tracks.jsonl");
     let page = Page::open(&playground, &["run.mcap"]);
     page.frame("it plays by itself", |json| json["frame"]["sequence"].as_u64() > Some(2));
-    assert_eq!(page.wish(&json!({ "do": "pause" })), 204);
+    assert_eq!(page.send_command(&json!({ "do": "pause" })), 204);
     let at =
         |sequence: u64| move |json: &Json| json["frame"]["sequence"] == sequence && json["player"]["plays"] == false;
     // 30 frames in a second, the first at 0.
-    assert_eq!(page.wish(&json!({ "do": "seek", "at_s": 1.99 })), 204);
+    assert_eq!(page.send_command(&json!({ "do": "seek", "at_s": 1.99 })), 204);
     let (json, pixels) = page.frame("the frame at two seconds", at(60));
     assert_eq!(pixels.len(), 32 * 24);
     let ids = |items: &[Json]| items.iter().map(|item| item["id"].clone()).collect::<Vec<_>>();
@@ -314,14 +314,14 @@ fn a_recording_is_played_paused_stepped_and_sought() {
     let length_s = json["player"]["length_s"].as_f64().unwrap();
     assert!((length_s - 89.0 / 30.0).abs() < 1e-3, "{length_s}");
     for (by, sequence) in [(-1, 59), (-1, 58), (1, 59), (3, 62), (-60, 2), (-1_000_000, 0), (1, 1), (500, 89)] {
-        assert_eq!(page.wish(&json!({ "do": "step", "by": by })), 204);
+        assert_eq!(page.send_command(&json!({ "do": "step", "by": by })), 204);
         page.frame("the frame that was stepped to", at(sequence));
     }
-    page.wish(&json!({ "do": "seek", "at_s": 1e300 }));
+    page.send_command(&json!({ "do": "seek", "at_s": 1e300 }));
     page.frame("the last", at(89));
-    page.wish(&json!({ "do": "speed", "factor": 10.0 }));
-    page.wish(&json!({ "do": "play" }));
-    page.told("it plays again from the beginning, to its end", at(89));
+    page.send_command(&json!({ "do": "speed", "factor": 10.0 }));
+    page.send_command(&json!({ "do": "play" }));
+    page.wait_for_state("it plays again from the beginning, to its end", at(89));
 }
 
 #[test]
@@ -331,9 +331,9 @@ fn a_recording_that_ends_in_the_middle_and_one_of_depth_alone_are_shown() {
     let whole = std::fs::read(playground.path("run.mcap")).unwrap();
     std::fs::write(playground.path("torn.mcap"), &whole[..whole.len() * 3 / 4]).unwrap();
     let page = Page::open(&playground, &["torn.mcap"]);
-    page.wish(&json!({ "do": "seek", "at_s": 0.3 }));
-    page.wish(&json!({ "do": "pause" }));
-    page.wish(&json!({ "do": "step", "by": -1 }));
+    page.send_command(&json!({ "do": "seek", "at_s": 0.3 }));
+    page.send_command(&json!({ "do": "pause" }));
+    page.send_command(&json!({ "do": "step", "by": -1 }));
     page.frame("a frame of the part that is there", |json| {
         json["player"]["plays"] == false && !items(json).is_empty() && json["frame"]["sequence"].as_u64() < Some(30)
     });
@@ -349,11 +349,11 @@ fn a_recording_that_ends_in_the_middle_and_one_of_depth_alone_are_shown() {
     assert!(json["about"]["notice"].as_str().unwrap().contains("depth images alone"));
 
     let refused = playground.conicflow(&["view", "none.mcap"]).expect_code(2);
-    refused.expect_told(&["there is no recording `none.mcap`", "hint: name an MCAP file"]);
+    refused.expect_texts(&["there is no recording `none.mcap`", "hint: name an MCAP file"]);
 }
 
 #[test]
-fn a_damaged_place_ends_neither_the_page_nor_a_run() {
+fn a_damaged_place_in_a_recording_ends_neither_the_page_nor_a_run() {
     let playground = Playground::new();
     recording(&playground, "400");
     let mut bytes = std::fs::read(playground.path("run.mcap")).unwrap();
@@ -369,20 +369,20 @@ fn a_damaged_place_ends_neither_the_page_nor_a_run() {
     std::fs::write(playground.path("damaged.mcap"), bytes).unwrap();
 
     let page = Page::open(&playground, &["damaged.mcap"]);
-    page.wish(&json!({ "do": "speed", "factor": 10.0 }));
+    page.send_command(&json!({ "do": "speed", "factor": 10.0 }));
     let shows =
         |sequence: u64| move |json: &Json| json["frame"]["sequence"] == sequence && json["player"]["plays"] == false;
-    page.told("the last frame, behind the damage", shows(399));
+    page.wait_for_state("the last frame, behind the damage", shows(399));
     for at_s in [12.0, 9.0, 6.5, 5.0, 3.0] {
-        page.wish(&json!({ "do": "seek", "at_s": at_s }));
-        page.wish(&json!({ "do": "step", "by": -1 }));
+        page.send_command(&json!({ "do": "seek", "at_s": at_s }));
+        page.send_command(&json!({ "do": "step", "by": -1 }));
     }
-    page.wish(&json!({ "do": "seek", "at_s": 0.0 }));
-    page.told("the first frame", shows(0));
-    let told = page.program.as_ref().unwrap().0.stderr();
-    assert_eq!(told.matches("is damaged (").count(), 1, "{told}");
+    page.send_command(&json!({ "do": "seek", "at_s": 0.0 }));
+    page.wait_for_state("the first frame", shows(0));
+    let log = page.program.as_ref().unwrap().0.stderr();
+    assert_eq!(log.matches("is damaged (").count(), 1, "{log}");
     let found = playground.conicflow(&["detect", "damaged.mcap"]).expect_code(0);
-    found.expect_told(&["is damaged", "; damaged places: 1"]);
+    found.expect_texts(&["is damaged", "; damaged places: 1"]);
     assert!(found.stdout.lines().count() > 20, "{}", found.stdout);
 }
 
@@ -397,6 +397,6 @@ fn a_sink_shows_the_run_that_it_is_part_of() {
     let page = Page::of_stage(&run.stderr());
     let (json, pixels) = page.frame("a frame with tracks", |json| !items(json).is_empty());
     assert!(pixels.len() == 32 * 24 && json["frame"]["latency_ms"].as_f64().is_some());
-    let (json, _) = page.told("the graph", |json| !json["about"]["graph"].is_null());
+    let (json, _) = page.wait_for_state("the graph", |json| !json["about"]["graph"].is_null());
     assert_eq!(json["about"]["graph"]["stages"].as_array().unwrap().len(), 6);
 }

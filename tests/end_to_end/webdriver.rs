@@ -65,10 +65,10 @@ enum Driver {
 }
 
 /// Does this in each browser that there is, in a window of this size, and says which there is not.
-pub fn in_each_browser(width: u32, height: u32, mut look: impl FnMut(&Browser)) {
+pub fn in_each_browser(width: u32, height: u32, mut test: impl FnMut(&Browser)) {
     for start in [Browser::chromium, Browser::firefox] {
         if let Some(browser) = start(width, height) {
-            look(&browser);
+            test(&browser);
         }
     }
 }
@@ -134,13 +134,13 @@ impl Browser {
         let (stream, _display) = (RefCell::new(stream), (display, output));
         let driver = Driver::Firefox { stream, browser, _profile: profile, _display };
         let browser = Self { name: "firefox", driver };
-        browser.tell("", "WebDriver:NewSession", &json!({}));
+        browser.ask("", "WebDriver:NewSession", &json!({}));
         browser.resize(width, height);
         Some(browser)
     }
 
     /// Tells it a command of WebDriver: its path for `chromedriver`, its name in Marionette.
-    fn tell(&self, path: &str, name: &str, body: &Json) -> Json {
+    fn ask(&self, path: &str, name: &str, body: &Json) -> Json {
         match &self.driver {
             Driver::Chromium { port, session, .. } => ask_chromedriver(port, "POST", &format!("{session}{path}"), body),
             Driver::Firefox { stream, .. } => ask_marionette(&mut stream.borrow_mut(), name, body),
@@ -148,11 +148,11 @@ impl Browser {
     }
 
     pub fn resize(&self, width: u32, height: u32) {
-        self.tell("/window/rect", "WebDriver:SetWindowRect", &json!({ "width": width, "height": height }));
+        self.ask("/window/rect", "WebDriver:SetWindowRect", &json!({ "width": width, "height": height }));
     }
 
     pub fn visit(&self, url: &str) {
-        self.tell("/url", "WebDriver:Navigate", &json!({ "url": url }));
+        self.ask("/url", "WebDriver:Navigate", &json!({ "url": url }));
     }
 
     /// Leaves a page, which asks for nothing more then, and cannot complain that nobody answers.
@@ -163,7 +163,7 @@ impl Browser {
     /// The value of an expression in the page.
     pub fn value(&self, expression: &str) -> Json {
         let script = json!({ "script": format!("return {expression}"), "args": [] });
-        self.tell("/execute/sync", "WebDriver:ExecuteScript", &script)
+        self.ask("/execute/sync", "WebDriver:ExecuteScript", &script)
     }
 
     /// Asks five times a second and not more: each question takes from the browser what it is to draw with.
@@ -198,14 +198,14 @@ impl Browser {
     fn faults(&self) -> Vec<Json> {
         match &self.driver {
             Driver::Chromium { .. } => {
-                let log = self.tell("/se/log", "", &json!({ "type": "browser" }));
+                let log = self.ask("/se/log", "", &json!({ "type": "browser" }));
                 log.as_array().unwrap().iter().filter(|entry| entry["level"] == "SEVERE").cloned().collect()
             }
             Driver::Firefox { .. } => {
-                let context = |name: &str| self.tell("", "Marionette:SetContext", &json!({ "value": name }));
+                let context = |name: &str| self.ask("", "Marionette:SetContext", &json!({ "value": name }));
                 context("chrome");
                 let script = json!({ "script": FAULTS_IN_FIREFOX, "args": [], "sandbox": "system" });
-                let faults = self.tell("", "WebDriver:ExecuteScript", &script);
+                let faults = self.ask("", "WebDriver:ExecuteScript", &script);
                 context("content");
                 faults.as_array().unwrap().clone()
             }
@@ -213,14 +213,14 @@ impl Browser {
     }
 
     /// Makes sure that the page has nothing to complain of, and keeps a picture of it where `CONICFLOW_PICTURES` names a folder.
-    pub fn look(&self, name: &str) {
+    pub fn expect_no_faults(&self, name: &str) {
         let faults = self.faults();
         assert!(faults.is_empty(), "{}: {faults:?}", self.name);
         let picture = match &self.driver {
             Driver::Chromium { port, session, .. } => {
                 ask_chromedriver(port, "GET", &format!("{session}/screenshot"), &Json::Null)
             }
-            Driver::Firefox { .. } => self.tell("", "WebDriver:TakeScreenshot", &json!({ "full": false })),
+            Driver::Firefox { .. } => self.ask("", "WebDriver:TakeScreenshot", &json!({ "full": false })),
         };
         if let Ok(folder) = std::env::var("CONICFLOW_PICTURES") {
             let file = fs::File::create(format!("{folder}/{name}_{}.png", self.name)).unwrap();

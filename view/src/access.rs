@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_for_everyone_has_any_name_but_is_for_no_other_page() {
+    fn an_address_for_everyone_accepts_any_host_name_but_no_other_page() {
         let access = access("0.0.0.0:9464", None);
         assert_eq!(status(&access, "GET /metrics HTTP/1.1\r\nHost: robot.local:9464"), 200);
         assert_eq!(status(&access, "GET /metrics HTTP/1.1\r\nHost: robot\r\nOrigin: http://evil.example"), 403);
@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn a_token_is_asked_for_and_kept_as_a_cookie_or_sent_with_each_request() {
+    fn a_token_is_required_and_kept_as_a_cookie_or_sent_with_each_request() {
         let access = access("0.0.0.0:8760", Some("0123456789ab"));
         let host = "Host: 192.168.1.7:8760";
         assert_eq!(status(&access, &format!("GET / HTTP/1.1\r\n{host}")), 401);

@@ -27,7 +27,7 @@ pub struct Page {
 impl Answer for Page {
     fn answer(&self, request: &Request) -> Response {
         match (request.method.as_str(), request.path.as_str()) {
-            ("GET", "/look") => self.look(request),
+            ("GET", "/look") => self.update(request),
             ("POST", "/command") => self.command(request),
             ("GET", path) => match file(path) {
                 Some((kind, content)) => Response::file(kind, content),
@@ -45,33 +45,34 @@ impl Page {
     }
 
     /// The answer with the news for a browser: the length of a text in four bytes, the text in JSON, the depths of the pixels.
-    fn look(&self, request: &Request) -> Response {
+    fn update(&self, request: &Request) -> Response {
         let browser = request.query("browser").unwrap_or_default();
         if browser.is_empty() || browser.len() > LONGEST_NAME {
             return Response::refusal(400, "a browser gives itself a name of up to 40 letters");
         }
-        let look = self.display.look(browser, request.number("frames"), request.number("told"), UPDATE_TIMEOUT);
-        let look = match look {
-            Ok(look) => look,
+        let update =
+            self.display.wait_for_update(browser, request.number("frames"), request.number("told"), UPDATE_TIMEOUT);
+        let update = match update {
+            Ok(update) => update,
             Err(too_many) => {
                 return Response::busy(&format!("{} browsers look already: close one of them", too_many.limit));
             }
         };
         let columns = u32::try_from(request.number("columns")).unwrap_or(u32::MAX);
-        let step = look.frame.as_ref().map_or(1, |frame| frame.step(columns));
+        let step = update.frame.as_ref().map_or(1, |frame| frame.step(columns));
         let json = json!({
-            "frames": look.frames,
-            "frame": look.frame.as_ref().map(|frame| frame.to_json(step)),
-            "told": look.told,
-            "about": look.about.as_deref(),
-            "player": look.player,
+            "frames": update.frames,
+            "frame": update.frame.as_ref().map(|frame| frame.to_json(step)),
+            "told": update.changes,
+            "about": update.about.as_deref(),
+            "player": update.player,
         });
         let mut text = json.to_string();
         text.extend(std::iter::repeat_n(' ', text.len().next_multiple_of(ALIGNMENT) - text.len()));
         // No text is longer: a list has a few hundred items of some kilobytes each.
         let mut bytes = u32::try_from(text.len()).unwrap_or(0).to_le_bytes().to_vec();
         bytes.extend(text.as_bytes());
-        if let Some(frame) = &look.frame {
+        if let Some(frame) = &update.frame {
             frame.write_pixels(step, &mut bytes);
         }
         Response::new(200, "application/octet-stream", bytes)
@@ -83,7 +84,7 @@ impl Page {
         }
         match serde_json::from_slice(&request.body) {
             Ok(command) => {
-                self.display.wish(command);
+                self.display.queue_command(command);
                 Response::new(204, "text/plain; charset=utf-8", Vec::new())
             }
             Err(error) => Response::refusal(400, &format!("no wish that is known: {error}")),
@@ -101,7 +102,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_wish_in_json_may_name_its_character_set() {
+    fn a_command_in_json_may_name_its_character_set() {
         let page = Page::new(Arc::default());
         let status = |kind: &str| {
             let head = format!("POST /command HTTP/1.1\r\nContent-Type: {kind}\r\n\r\n");

@@ -99,7 +99,7 @@ pub enum Command {
 pub struct Display {
     state: Mutex<State>,
     changed: Condvar,
-    wished: Condvar,
+    command_queued: Condvar,
 }
 
 #[derive(Default)]
@@ -110,7 +110,7 @@ struct State {
     about: Arc<About>,
     player: Option<Player>,
     /// Number of changes of everything but the frames.
-    told: u64,
+    changes: u64,
     /// When each browser last asked.
     browsers: BTreeMap<String, Instant>,
     commands: VecDeque<Command>,
@@ -122,7 +122,7 @@ pub(crate) struct Update {
     pub(crate) frames: u64,
     pub(crate) about: Option<Arc<About>>,
     pub(crate) player: Option<Player>,
-    pub(crate) told: u64,
+    pub(crate) changes: u64,
 }
 
 /// Too many browsers are connected.
@@ -146,13 +146,13 @@ impl Display {
     }
 
     /// Changes the information about the frames.
-    pub fn tell(&self, change: impl FnOnce(&mut About)) {
+    pub fn change_about(&self, change: impl FnOnce(&mut About)) {
         let mut state = self.state();
         let mut about = (*state.about).clone();
         change(&mut about);
         if about != *state.about {
             state.about = Arc::new(about);
-            state.told += 1;
+            state.changes += 1;
             drop(state);
             self.changed.notify_all();
         }
@@ -161,9 +161,9 @@ impl Display {
     /// Updates the playback state; a new position alone is sent with the next frame.
     pub fn publish_player(&self, player: Player) {
         let mut state = self.state();
-        let same_way = |known: &Player| known.plays == player.plays && known.speed == player.speed;
-        if !state.player.as_ref().is_some_and(same_way) {
-            state.told += 1;
+        let is_unchanged = |known: &Player| known.plays == player.plays && known.speed == player.speed;
+        if !state.player.as_ref().is_some_and(is_unchanged) {
+            state.changes += 1;
         }
         state.player = Some(player);
         drop(state);
@@ -178,38 +178,45 @@ impl Display {
     /// Waits for a command for at most `patience`; returns the oldest one.
     pub fn next_command(&self, patience: Duration) -> Option<Command> {
         let state = self.state();
-        let waited = self.wished.wait_timeout_while(state, patience, |state| state.commands.is_empty());
+        let waited = self.command_queued.wait_timeout_while(state, patience, |state| state.commands.is_empty());
         waited.unwrap_or_else(PoisonError::into_inner).0.commands.pop_front()
     }
 
     /// Queues a command; a full queue drops the oldest.
-    pub(crate) fn wish(&self, command: Command) {
+    pub(crate) fn queue_command(&self, command: Command) {
         let mut state = self.state();
         if state.commands.len() == MAX_COMMANDS {
             state.commands.pop_front();
         }
         state.commands.push_back(command);
         drop(state);
-        self.wished.notify_all();
+        self.command_queued.notify_all();
     }
 
-    /// Returns the news for a browser that has seen `frames` frames and `told` changes; waits for news for at most `patience`.
-    pub(crate) fn look(&self, browser: &str, frames: u64, told: u64, patience: Duration) -> Result<Update, TooMany> {
+    /// Returns the news for a browser that has seen `frames` frames and `changes` changes of the rest; waits for news for at most
+    /// `patience`.
+    pub(crate) fn wait_for_update(
+        &self,
+        browser: &str,
+        frames: u64,
+        changes: u64,
+        patience: Duration,
+    ) -> Result<Update, TooMany> {
         let mut state = self.state();
         state.browsers.retain(|_, asked| asked.elapsed() < LEFT);
         if !state.browsers.contains_key(browser) && state.browsers.len() >= MAX_BROWSERS {
             return Err(TooMany { limit: MAX_BROWSERS });
         }
         state.browsers.insert(browser.to_owned(), Instant::now());
-        let has_nothing_new = |state: &mut State| state.frames == frames && state.told == told;
+        let has_nothing_new = |state: &mut State| state.frames == frames && state.changes == changes;
         let waited = self.changed.wait_timeout_while(state, patience, has_nothing_new);
         let state = waited.unwrap_or_else(PoisonError::into_inner).0;
         Ok(Update {
             frame: state.frame.clone().filter(|_| state.frames != frames),
             frames: state.frames,
-            about: Some(Arc::clone(&state.about)).filter(|_| state.told != told),
+            about: Some(Arc::clone(&state.about)).filter(|_| state.changes != changes),
             player: state.player,
-            told: state.told,
+            changes: state.changes,
         })
     }
 }
@@ -227,47 +234,47 @@ mod tests {
     }
 
     #[test]
-    fn who_asks_is_given_the_newest_frame_once() {
+    fn a_browser_gets_the_newest_frame_once() {
         let display = Display::default();
         assert!(!display.is_watched());
         [1, 2, 3].into_iter().for_each(|sequence| display.show(frame(sequence)));
-        let look = display.look("a", 0, 0, LONG).unwrap();
-        assert_eq!((look.frame.unwrap().header.sequence, look.frames), (3, 3));
-        assert!(look.about.is_none() && display.is_watched());
-        assert!(display.look("a", look.frames, look.told, NOT_AT_ALL).unwrap().frame.is_none());
-        display.tell(|about| about.title = "tabletop".to_owned());
-        display.tell(|about| about.title = "tabletop".to_owned());
-        let look = display.look("a", look.frames, look.told, LONG).unwrap();
-        assert_eq!((look.about.unwrap().title.as_str(), look.told), ("tabletop", 1));
+        let update = display.wait_for_update("a", 0, 0, LONG).unwrap();
+        assert_eq!((update.frame.unwrap().header.sequence, update.frames), (3, 3));
+        assert!(update.about.is_none() && display.is_watched());
+        assert!(display.wait_for_update("a", update.frames, update.changes, NOT_AT_ALL).unwrap().frame.is_none());
+        display.change_about(|about| about.title = "tabletop".to_owned());
+        display.change_about(|about| about.title = "tabletop".to_owned());
+        let update = display.wait_for_update("a", update.frames, update.changes, LONG).unwrap();
+        assert_eq!((update.about.unwrap().title.as_str(), update.changes), ("tabletop", 1));
     }
 
     #[test]
-    fn who_waits_is_woken_by_a_frame() {
+    fn a_waiting_browser_is_woken_by_a_frame() {
         let display = Arc::new(Display::default());
         let waiting = Arc::clone(&display);
-        let waits = std::thread::spawn(move || waiting.look("a", 0, 0, LONG).unwrap().frames);
+        let frames = std::thread::spawn(move || waiting.wait_for_update("a", 0, 0, LONG).unwrap().frames);
         display.show(frame(1));
-        assert_eq!(waits.join().unwrap(), 1);
+        assert_eq!(frames.join().unwrap(), 1);
     }
 
     #[test]
-    fn there_are_only_so_many_browsers() {
+    fn the_number_of_browsers_is_limited() {
         let display = Display::default();
         for number in 0..MAX_BROWSERS {
-            assert!(display.look(&number.to_string(), 0, 0, NOT_AT_ALL).is_ok());
+            assert!(display.wait_for_update(&number.to_string(), 0, 0, NOT_AT_ALL).is_ok());
         }
-        assert_eq!(display.look("one more", 0, 0, NOT_AT_ALL).err(), Some(TooMany { limit: MAX_BROWSERS }));
-        assert!(display.look("3", 0, 0, NOT_AT_ALL).is_ok(), "who is there already stays");
+        assert_eq!(display.wait_for_update("one more", 0, 0, NOT_AT_ALL).err(), Some(TooMany { limit: MAX_BROWSERS }));
+        assert!(display.wait_for_update("3", 0, 0, NOT_AT_ALL).is_ok(), "who is there already stays");
     }
 
     #[test]
-    fn wishes_are_read_and_kept_in_bounds() {
-        let wish = |text: &str| serde_json::from_str::<Command>(text);
-        assert_eq!(wish(r#"{"do":"step","by":-1}"#).unwrap(), Command::Step { by: -1 });
-        assert_eq!(wish(r#"{"do":"play"}"#).unwrap(), Command::Play);
-        assert!(wish(r#"{"do":"stop_the_robot"}"#).is_err() && wish(r#"{"do":"seek","at_s":"x"}"#).is_err());
+    fn commands_are_parsed_and_kept_in_bounds() {
+        let parsed = |text: &str| serde_json::from_str::<Command>(text);
+        assert_eq!(parsed(r#"{"do":"step","by":-1}"#).unwrap(), Command::Step { by: -1 });
+        assert_eq!(parsed(r#"{"do":"play"}"#).unwrap(), Command::Play);
+        assert!(parsed(r#"{"do":"stop_the_robot"}"#).is_err() && parsed(r#"{"do":"seek","at_s":"x"}"#).is_err());
         let display = Display::default();
-        (0..100).for_each(|by| display.wish(Command::Step { by }));
+        (0..100).for_each(|by| display.queue_command(Command::Step { by }));
         let first = display.next_command(NOT_AT_ALL);
         assert_eq!(first, Some(Command::Step { by: 100 - MAX_COMMANDS as i32 }));
     }

@@ -155,8 +155,8 @@ fn add_second_variant(items: &mut Vec<Json>, compared: &Compared, camera: &Camer
 }
 
 /// The JSON of an item, with its outline in the image and the covariance of its centre.
-fn item(told: impl serde::Serialize, object: &Object, camera: &Camera) -> Json {
-    let mut json = serde_json::to_value(told).unwrap_or_default();
+fn item(value: impl serde::Serialize, object: &Object, camera: &Camera) -> Json {
+    let mut json = serde_json::to_value(value).unwrap_or_default();
     let mut segments = Vec::new();
     trace(object, camera, &mut segments);
     json["covariance"] = json!(object.sigma.center);
@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn no_more_pixels_are_sent_than_asked_for() {
+    fn the_number_of_pixels_sent_is_limited_to_the_request() {
         let frame = frame();
         assert_eq!([u32::MAX, 5, 4, 2, 1, 0].map(|columns| frame.step(columns)), [1, 1, 2, 3, 5, 5]);
     }
@@ -226,16 +226,16 @@ mod tests {
     }
 
     #[test]
-    fn items_of_a_second_variant_come_behind_and_pairs_know_each_other() {
+    fn items_of_a_second_variant_follow_and_pairs_refer_to_each_other() {
         let ball = |x: f64| Object { kind: ObjectKind::Sphere.code(), center: [x, 0.0, 2.0], ..Object::default() };
         let pair = Pair { own: 1, other: 0, position_m: 0.02, radius_m: -0.001 };
         let list = List::Objects(vec![ball(0.3), ball(0.0)]);
         let compared = Some(Compared { list: List::Objects(vec![ball(0.02), ball(0.9)]), pairs: vec![pair] });
         let json = Frame { list, compared, ..frame() }.to_json(1);
-        let told =
+        let values =
             |key: &str| json["items"].as_array().unwrap().iter().map(|item| item[key].clone()).collect::<Vec<_>>();
-        assert_eq!(told("variant"), ["a", "a", "b", "b"]);
-        assert_eq!(told("pair"), [Json::Null, json!(2), json!(1), Json::Null]);
+        assert_eq!(values("variant"), ["a", "a", "b", "b"]);
+        assert_eq!(values("pair"), [Json::Null, json!(2), json!(1), Json::Null]);
         assert_eq!(json["items"][1]["difference"], json!({ "position_m": 0.02, "radius_m": -0.001 }));
         assert_eq!(json["items"][2]["center"][0], 0.02);
     }

@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn a_list_finds_the_image_that_it_was_made_of() {
+    fn a_list_is_joined_with_the_image_that_it_was_made_of() {
         let (mut gatherer, now) = (Gatherer::new(true), Instant::now());
         for number in 0..4 {
             assert!(gatherer.depth(&header("left", number), &[number as u16], now).is_none());
@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn images_are_shown_without_lists_where_none_come() {
+    fn images_are_shown_without_lists_if_none_arrive() {
         let now = Instant::now();
         assert!(Gatherer::new(false).depth(&header("left", 0), &[1], now).is_some());
         let mut gatherer = Gatherer::new(true);
@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn lists_that_come_again_are_shown_with_their_images() {
+    fn lists_that_arrive_again_are_shown_with_their_images() {
         let (mut gatherer, now) = (Gatherer::new(true), Instant::now());
         gatherer.depth(&header("left", 0), &[1], now);
         let later = now + 2 * PAIRING_TIMEOUT;
@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn no_more_is_kept_than_there_is_room_for() {
+    fn the_number_of_images_that_are_kept_is_limited() {
         let (mut gatherer, now) = (Gatherer::new(true), Instant::now());
         for number in 0..100 {
             let then = now + SHORTEST_INTERVAL * number as u32;

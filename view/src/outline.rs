@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn who_looks_along_the_axis_sees_circles_only() {
+    fn seen_along_the_axis_the_outline_has_circles_only() {
         let along = Object { axis: [0.0, 0.0, 1.0], ..object(ObjectKind::Cylinder, 0.3) };
         let segments = traced(&along);
         assert_eq!(segments.len(), 2 * 72);
@@ -229,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_behind_or_around_the_camera_is_not_drawn() {
+    fn objects_behind_or_around_the_camera_are_not_drawn() {
         assert!(traced(&Object { center: [0.0, 0.0, -2.0], ..object(ObjectKind::Sphere, 0.5) }).is_empty());
         assert!(traced(&object(ObjectKind::Sphere, 3.0)).is_empty());
         let degenerate = Object { length: 0.0, axis: [0.0; 3], ..object(ObjectKind::Cylinder, 0.1) };

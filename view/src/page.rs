@@ -38,7 +38,7 @@ mod tests {
 
     /// All files that pages or scripts refer to exist, and none refers to another host.
     #[test]
-    fn the_page_needs_nothing_else() {
+    fn the_page_loads_only_files_of_the_server() {
         for (path, kind, content) in FILES.iter().filter(|(path, ..)| !path.starts_with("/three/")) {
             let text = std::str::from_utf8(content).unwrap();
             assert!(!text.contains("//cdn") && !text.contains("https://"), "{path} names something elsewhere");
@@ -55,7 +55,7 @@ mod tests {
     }
 
     #[test]
-    fn the_licence_of_the_drawing_library_goes_with_it() {
+    fn the_licence_of_the_drawing_library_is_served_with_it() {
         let (_, licence) = file("/three/LICENSE").unwrap();
         assert!(std::str::from_utf8(licence).unwrap().contains("three.js authors"));
     }

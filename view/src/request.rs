@@ -162,7 +162,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_request_is_taken_apart() {
+    fn a_request_is_parsed() {
         let text = b"GET /look?browser=a1&frames=7 HTTP/1.1\r\nHost: localhost\r\nX-Odd:  y \r\n\r\nGET";
         let (request, length) = Request::parse(text).unwrap().unwrap();
         assert_eq!((request.path.as_str(), request.is_get(), length), ("/look", true, text.len() - 3));
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn garbage_and_what_is_too_long_is_refused() {
+    fn garbage_and_requests_that_are_too_long_are_refused() {
         assert!(matches!(Request::parse(b"\x16\x03\x01\x02\x00\x01\r\n\r\n"), Err(NoRequest::Bad(400, _))));
         let many = format!("GET / HTTP/1.1\r\n{}\r\n", "a: b\r\n".repeat(MOST_HEADERS + 1));
         assert!(matches!(Request::parse(many.as_bytes()), Err(NoRequest::Bad(400, _))));
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn what_tells_where_a_request_goes_and_ends_is_told_once() {
+    fn headers_of_destination_origin_and_length_may_occur_only_once() {
         let parse = |headers: &str| Request::parse(format!("GET / HTTP/1.1\r\n{headers}\r\n\r\n").as_bytes());
         for headers in [
             "Host: 127.0.0.1\r\nHost: evil.example",
@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn a_head_is_asked_for_as_the_whole() {
+    fn a_head_request_is_parsed_like_a_get_request() {
         let (request, _) = Request::parse(b"HEAD / HTTP/1.1\r\n\r\n").unwrap().unwrap();
         assert!(request.is_get() && request.is_head);
     }

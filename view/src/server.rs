@@ -118,12 +118,12 @@ fn url(address: SocketAddr, token: Option<&str>) -> String {
 /// Returns the address from which this machine would send to the network. Connecting a UDP socket sends nothing.
 fn reachable(unspecified: IpAddr) -> IpAddr {
     const DOCUMENTATION: (Ipv4Addr, u16) = (Ipv4Addr::new(192, 0, 2, 1), 9);
-    let way = || {
+    let local_address = || {
         let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))?;
         socket.connect(DOCUMENTATION)?;
         socket.local_addr()
     };
-    way().map_or(unspecified, |own| own.ip())
+    local_address().map_or(unspecified, |own| own.ip())
 }
 
 fn accept(listener: &TcpListener, shared: &Arc<Shared>, ends: &AtomicBool) {
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn who_asks_for_the_head_is_sent_all_but_the_body() {
+    fn a_head_request_is_answered_without_the_body() {
         let server = Server::start(&Listen::open(SocketAddr::from((Ipv4Addr::LOCALHOST, 0))), Told).unwrap();
         let answer = |method: &str| {
             let mut stream = TcpStream::connect(server.address).unwrap();

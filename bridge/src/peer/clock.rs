@@ -78,7 +78,7 @@ mod tests {
     const SECOND: u64 = 1_000_000_000;
 
     #[test]
-    fn the_quickest_exchange_tells_the_offset() {
+    fn the_quickest_exchange_gives_the_clock_offset() {
         let mut clock = Clock::default();
         assert_eq!(clock.best(), None);
         // The peer is 1000 ahead; 10 there and 10 back, then 10 there and 300 back.
@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_stood_still_is_compared_anew() {
+    fn clocks_are_compared_again_after_one_stood_still() {
         let mut clock = Clock::default();
         clock.add([100, 1110, 1150, 160]);
         // The own clock stood still for a minute; the first exchange after that is slow.
@@ -102,7 +102,7 @@ mod tests {
 
     /// An offset may differ by half of each round trip (10 and 50 ms) and by 10 ms of drift.
     #[test]
-    fn clocks_are_compared_anew_where_no_one_offset_explains_two_exchanges() {
+    fn clocks_are_compared_again_when_no_single_offset_explains_two_exchanges() {
         const MS: i64 = 1_000_000;
         let exchange = |round_trip_ms: i64, offset_ms: i64| {
             let (begin, end) = (1000 * MS, (1000 + round_trip_ms) * MS);
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn a_quick_exchange_is_remembered_for_a_while_through_any_number_of_slow_ones() {
+    fn a_quick_exchange_is_remembered_for_a_limited_time_whatever_number_of_slow_ones_follow() {
         let mut clock = Clock::default();
         clock.add([0, 10, 10, 20]);
         let slow = |time: u64| [time, time + 5000, time + 5000, time + 5010];
@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn a_quick_exchange_is_remembered_from_when_it_was() {
+    fn the_time_for_which_an_exchange_is_remembered_begins_with_the_exchange() {
         let mut clock = Clock::default();
         for (second, back_ns) in [(0, 5010), (5, 20), (33, 5010)] {
             clock.add([second * SECOND, second * SECOND + 10, second * SECOND + 10, second * SECOND + back_ns]);

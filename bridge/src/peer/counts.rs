@@ -106,7 +106,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rates_are_those_since_the_earlier_report() {
+    fn rates_are_computed_since_the_previous_report() {
         let counts = EdgeCounts::default();
         EdgeCounts::add(&counts.messages, 30);
         EdgeCounts::add(&counts.wire_bytes, 5_000_000);
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_left_out_is_reported_as_malformed_each_time_however_seldom_it_is_told() {
+    fn each_message_left_out_is_counted_as_malformed_even_when_it_is_not_logged() {
         let counts = Arc::<EdgeCounts>::default();
         let left_out = MalformedCounter::new(Arc::clone(&counts));
         (0..3).for_each(|_| left_out.add(format_args!("its image has no pixels")));

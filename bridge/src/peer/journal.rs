@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn the_next_process_of_a_run_knows_what_the_one_before_knew_and_has_a_later_session() {
+    fn the_next_process_of_a_run_reads_the_journal_of_the_one_before_and_has_a_later_session() {
         let folder = tempfile::tempdir().unwrap();
         let mut first = Journal::open(Some(folder.path()), 7, 1000);
         first.note_heard("base");
@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn a_journal_that_cannot_be_read_or_written_stops_nobody() {
+    fn a_journal_that_cannot_be_read_or_written_stops_no_bridge() {
         let folder = tempfile::tempdir().unwrap();
         fs::write(folder.path().join("bridge.journal"), "{ not whole").unwrap();
         assert_eq!(Journal::open(Some(folder.path()), 7, 5).session(), 5);

@@ -52,8 +52,8 @@ pub(crate) struct Links {
 /// One other machine.
 #[derive(Default)]
 pub(crate) struct Peer {
-    heard: Option<Instant>,
-    since: Option<Instant>,
+    heard_at: Option<Instant>,
+    connected_since: Option<Instant>,
     /// The last heartbeat of each session of the peer, proved or not, the newest last.
     samples: VecDeque<ClockSample>,
     /// By session: when the last of this bridge's heartbeats that the session has reported was sent.
@@ -69,7 +69,7 @@ pub(crate) struct Peer {
     /// Which double runs were reported to the user.
     reported_rivals: BTreeSet<Rivals>,
     /// Whether the peer has received a report of its present session, and so knows the session here.
-    knows_us: bool,
+    knows_this_session: bool,
     clock: Clock,
     /// The run of the peer's machine, once heard.
     run: Option<u64>,
@@ -134,22 +134,22 @@ impl Links {
     }
 
     /// Processes a heartbeat that came under this Zenoh key.
-    pub(crate) fn heard(&self, machine: &str, zenoh_key: &str, bytes: &[u8]) {
+    pub(crate) fn receive_heartbeat(&self, machine: &str, zenoh_key: &str, bytes: &[u8]) {
         let now_ns = monotonic_ns();
-        let opened = self.seal.open(zenoh_key, bytes).and_then(|_| decode_note::<Heartbeat>(bytes));
+        let verified = self.seal.verify(zenoh_key, bytes).and_then(|_| decode_note::<Heartbeat>(bytes));
         let mut peers = lock(&self.peers);
         let Some(peer) = peers.get_mut(machine) else { return };
-        match opened {
+        match verified {
             Ok(Heartbeat { layouts: theirs, .. }) if theirs != layouts() => {
                 refuse(machine, peer, &WireError::Layout { ours: layouts(), theirs });
             }
-            Ok(heartbeat) => self.take_in(machine, peer, heartbeat, now_ns),
+            Ok(heartbeat) => self.process_heartbeat(machine, peer, heartbeat, now_ns),
             Err(error) => refuse(machine, peer, &error),
         }
     }
 
     /// Updates a peer from a heartbeat. Heartbeats may come by two paths or be replayed: one that was overtaken is ignored.
-    fn take_in(&self, machine: &str, peer: &mut Peer, heartbeat: Heartbeat, now_ns: u64) {
+    fn process_heartbeat(&self, machine: &str, peer: &mut Peer, heartbeat: Heartbeat, now_ns: u64) {
         let now = Instant::now();
         let sample = ClockSample {
             machine: machine.to_owned(),
@@ -158,18 +158,19 @@ impl Links {
             received_ns: now_ns,
         };
         let own = |sample: &&ClockSample| sample.machine == self.machine && sample.session == self.session;
-        let (said, ahead) = heartbeat.samples.iter().filter(own).partition::<Vec<_>, _>(|own| own.sent_ns <= now_ns);
+        let (reported_samples, ahead) =
+            heartbeat.samples.iter().filter(own).partition::<Vec<_>, _>(|own| own.sent_ns <= now_ns);
         if !ahead.is_empty() {
             // Either the heartbeat is forged, or the peer has believed a forged one of this machine: each has to hear the true
             // ones again.
             peer.samples.retain(|known| known.session != heartbeat.session);
             refuse(machine, peer, &WireError::Impossible("it has heard what this machine has not said yet"));
         }
-        let Some(is_new_session) = peer.note(sample, said.first().map(|own| own.sent_ns)) else { return };
+        let Some(is_new_session) = peer.note(sample, reported_samples.first().map(|own| own.sent_ns)) else { return };
         if is_new_session {
             self.owes_answer.store(true, Ordering::Relaxed);
         }
-        let Some(own) = said.first() else { return };
+        let Some(own) = reported_samples.first() else { return };
         let reported_ns = own.sent_ns;
         if !peer.believes(&heartbeat, reported_ns, now) {
             return;
@@ -177,19 +178,19 @@ impl Links {
         peer.answered_ns = peer.answered_ns.max(reported_ns);
         if !is_connected(peer, now) {
             tracing::info!("the link to machine `{machine}` is up");
-            peer.since = Some(now);
+            peer.connected_since = Some(now);
         }
-        peer.heard = Some(now);
+        peer.heard_at = Some(now);
         peer.run = Some(heartbeat.run);
         lock(&self.journal).note_heard(machine);
-        self.compare(machine, peer, &heartbeat.routes);
+        self.report_differences(machine, peer, &heartbeat.routes);
         if peer.session.replace(heartbeat.session) != Some(heartbeat.session) {
             (peer.proved_ns, peer.rival) = ([reported_ns, own.received_ns], None);
-            peer.knows_us = false;
+            peer.knows_this_session = false;
             peer.clock.clear();
             peer.acks.clear();
         }
-        self.look_for_rivals(machine, peer, &heartbeat.samples, reported_ns);
+        self.report_rivals(machine, peer, &heartbeat.samples, reported_ns);
         peer.clock.add([own.sent_ns, own.received_ns, heartbeat.sent_ns, now_ns]);
         let News { acks, finished } = heartbeat.news;
         let acks = acks.into_iter().filter(|ack| ack.from == self.machine);
@@ -199,7 +200,7 @@ impl Links {
 
     /// Reports once that the other machine, or this one, runs twice. A restarted run is no second run: nothing is heard of the
     /// run before it that was sent after the new one began.
-    fn look_for_rivals(&self, machine: &str, peer: &mut Peer, samples: &[ClockSample], reported_ns: u64) {
+    fn report_rivals(&self, machine: &str, peer: &mut Peer, samples: &[ClockSample], reported_ns: u64) {
         let is_twice_there = peer.rival.is_some_and(|rival| reported_ns > rival.reported_ns);
         if is_twice_there && peer.reported_rivals.insert(Rivals::There) {
             tracing::error!(
@@ -222,7 +223,7 @@ impl Links {
 
     /// Reports once that the other machine's pipeline file differs from this one's: routes that only one of the two expects never
     /// work.
-    fn compare(&self, machine: &str, peer: &mut Peer, theirs: &[Route]) {
+    fn report_differences(&self, machine: &str, peer: &mut Peer, theirs: &[Route]) {
         let between = |routes: &[Route]| -> Vec<Route> {
             routes.iter().filter(|route| route.is_between(&self.machine, machine)).cloned().collect()
         };
@@ -233,10 +234,10 @@ impl Links {
                 routes.map(|Route { from, to, what }| format!("{what}, from `{from}` to `{to}`")).collect();
             if words.is_empty() { "nothing more".to_owned() } else { words.join("; ") }
         };
-        let (here, there) = (only(&ours, &theirs), only(&theirs, &ours));
-        if here != there && peer.unlike != theirs {
+        let (only_ours, only_theirs) = (only(&ours, &theirs), only(&theirs, &ours));
+        if only_ours != only_theirs && peer.unlike != theirs {
             tracing::error!(
-                "machine `{machine}` has another pipeline file; what crosses here: {here}; there: {there}\n  \
+                "machine `{machine}` has another pipeline file; what crosses here: {only_ours}; there: {only_theirs}\n  \
                  hint: run the same file with the same --set on all machines"
             );
             peer.unlike = theirs;
@@ -244,7 +245,7 @@ impl Links {
     }
 
     /// Notes how far an edge was received, for the next heartbeat.
-    pub(crate) fn received(&self, ack: Ack) {
+    pub(crate) fn note_ack(&self, ack: Ack) {
         lock(&self.acks).insert((ack.from.clone(), ack.topic.clone()), ack);
     }
 
@@ -277,7 +278,7 @@ impl Links {
     }
 
     /// Notes that an edge to here is finished, if the run of the sending machine is known.
-    pub(crate) fn finish(&self, from: &str, topic: &str) {
+    pub(crate) fn note_finished(&self, from: &str, topic: &str) {
         let Some(run) = lock(&self.peers).get(from).and_then(|peer| peer.run) else { return };
         let (from, to, topic) = (from.to_owned(), self.machine.clone(), topic.to_owned());
         lock(&self.journal).note_finished(FinishedEdge { from, to, topic, run }, self.run);
@@ -311,14 +312,15 @@ impl Links {
     }
 
     /// Sends a heartbeat with this news under this Zenoh key, by calling `put`.
-    pub(crate) fn say(&self, zenoh_key: &str, news: News, put: impl FnOnce(Vec<u8>)) {
+    pub(crate) fn send_heartbeat(&self, zenoh_key: &str, news: News, put: impl FnOnce(Vec<u8>)) {
         let heartbeat = self.heartbeat(news);
         let Ok(mut bytes) = encode_note(&heartbeat) else { return };
-        self.seal.close(zenoh_key, &mut bytes);
+        self.seal.sign(zenoh_key, &mut bytes);
         put(bytes);
         for (machine, peer) in lock(&self.peers).iter_mut() {
-            let told = |sample: &ClockSample| sample.machine == *machine && Some(sample.session) == peer.session;
-            peer.knows_us |= heartbeat.samples.iter().any(told);
+            let confirms_peer =
+                |sample: &ClockSample| sample.machine == *machine && Some(sample.session) == peer.session;
+            peer.knows_this_session |= heartbeat.samples.iter().any(confirms_peer);
         }
     }
 
@@ -343,17 +345,17 @@ impl Links {
 
     /// When a peer was last heard. If only an earlier process of this bridge heard it, that counts as the start of this process.
     pub(crate) fn last_heard(&self, machine: &str) -> Option<Instant> {
-        self.heard_here(machine).or_else(|| lock(&self.journal).has_heard(machine).then_some(self.started))
+        self.heard_by_this_process(machine).or_else(|| lock(&self.journal).has_heard(machine).then_some(self.started))
     }
 
     /// How long a peer has been silent, counted from `since` at the earliest; for a peer that this process has never heard, from
     /// the start of this process.
     pub(crate) fn silence(&self, machine: &str, since: Instant) -> Duration {
-        self.heard_here(machine).map_or(self.started, |heard| heard.max(since)).elapsed()
+        self.heard_by_this_process(machine).map_or(self.started, |heard_at| heard_at.max(since)).elapsed()
     }
 
-    fn heard_here(&self, machine: &str) -> Option<Instant> {
-        lock(&self.peers).get(machine)?.heard
+    fn heard_by_this_process(&self, machine: &str) -> Option<Instant> {
+        lock(&self.peers).get(machine)?.heard_at
     }
 
     /// Whether a message belongs to the session of a machine that has proved to be the present one.
@@ -389,23 +391,24 @@ impl Links {
     }
 
     /// Returns the state of all peers. Logs which have fallen silent since the last call, and once which never came.
-    pub(crate) fn look(&self) -> BTreeMap<String, PeerState> {
+    pub(crate) fn check_peers(&self) -> BTreeMap<String, PeerState> {
         let now = Instant::now();
         let mut states = BTreeMap::new();
         for (machine, peer) in lock(&self.peers).iter_mut() {
-            if peer.since.is_some() && !is_connected(peer, now) {
+            if peer.connected_since.is_some() && !is_connected(peer, now) {
                 let comes = self.routes.iter().any(|route| route.from == *machine);
-                let waits = if comes { "; what comes from there is waited for, also in its next run" } else { "" };
-                tracing::warn!("the link to machine `{machine}` is down{waits}");
-                peer.since = None;
+                let consequence =
+                    if comes { "; what comes from there is waited for, also in its next run" } else { "" };
+                tracing::warn!("the link to machine `{machine}` is down{consequence}");
+                peer.connected_since = None;
             }
             if now.saturating_duration_since(self.started) > REPORT_MISSING_AFTER {
-                miss(machine, peer);
+                report_missing(machine, peer);
             }
-            let since = peer.since.or(peer.heard).unwrap_or(self.started);
-            let (was_heard, connected) = (peer.heard.is_some(), peer.since.is_some());
+            let state_since = peer.connected_since.or(peer.heard_at).unwrap_or(self.started);
+            let (was_heard, connected) = (peer.heard_at.is_some(), peer.connected_since.is_some());
             let refused = is_recent(peer.refused_at, now);
-            let (time, clock) = (now.saturating_duration_since(since), peer.clock.best());
+            let (time, clock) = (now.saturating_duration_since(state_since), peer.clock.best());
             states.insert(machine.clone(), PeerState { was_heard, connected, refused, time, clock });
         }
         states
@@ -423,9 +426,9 @@ impl Peer {
     /// does the peer's own time decide. So a forged time in the future does not block genuine heartbeats.
     fn note(&mut self, sample: ClockSample, reported_ns: Option<u64>) -> Option<bool> {
         let known = self.samples.iter().position(|known| known.session == sample.session);
-        let last_told_ns = self.reported_ns.get(&sample.session).copied().unwrap_or_default();
-        let reported_ns = reported_ns.unwrap_or(last_told_ns);
-        if known.is_some_and(|at| (last_told_ns, self.samples[at].sent_ns) >= (reported_ns, sample.sent_ns)) {
+        let last_reported_ns = self.reported_ns.get(&sample.session).copied().unwrap_or_default();
+        let reported_ns = reported_ns.unwrap_or(last_reported_ns);
+        if known.is_some_and(|at| (last_reported_ns, self.samples[at].sent_ns) >= (reported_ns, sample.sent_ns)) {
             return None;
         }
         // The session that has proved itself is never displaced.
@@ -459,11 +462,11 @@ impl Peer {
 
 /// Whether a peer accepts messages from here: before the session here has proved itself, the peer drops them.
 fn takes_messages(peer: &Peer) -> bool {
-    peer.knows_us && is_connected(peer, Instant::now())
+    peer.knows_this_session && is_connected(peer, Instant::now())
 }
 
 fn is_connected(peer: &Peer, now: Instant) -> bool {
-    is_recent(peer.heard, now)
+    is_recent(peer.heard_at, now)
 }
 
 fn is_recent(time: Option<Instant>, now: Instant) -> bool {
@@ -471,8 +474,8 @@ fn is_recent(time: Option<Instant>, now: Instant) -> bool {
 }
 
 /// Reports once that a peer was never heard, or does not hear this one, unless it was refused.
-fn miss(machine: &str, peer: &mut Peer) {
-    if peer.heard.is_some() || !peer.refused.texts().is_empty() || peer.missed {
+fn report_missing(machine: &str, peer: &mut Peer) {
+    if peer.heard_at.is_some() || !peer.refused.texts().is_empty() || peer.missed {
         return;
     }
     peer.missed = true;

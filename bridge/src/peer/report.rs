@@ -23,7 +23,8 @@ impl<'a> EdgeHandle<'a> {
     /// Returns an edge whose counts continue from the links and the record of an earlier bridge process of the run.
     fn new(edge: &'a Edge, outgoing: bool, links: &[LinkReport], record: &Status) -> Self {
         let mut links = links.iter().filter(|link| reaches(edge, outgoing, &link.machine));
-        let is_it = |report: &&EdgeReport| report.topic == edge.topic.name && report.direction == way(outgoing);
+        let is_it =
+            |report: &&EdgeReport| report.topic == edge.topic.name && report.direction == direction_word(outgoing);
         let reported = links.find_map(|link| link.edges.iter().find(is_it)).cloned().unwrap_or_default();
         let is_its_input = |input: &&InputCounts| outgoing && input.topic == Text::new(&edge.topic.name);
         let input = record.used_inputs().find(is_its_input).copied().unwrap_or_default();
@@ -31,7 +32,8 @@ impl<'a> EdgeHandle<'a> {
     }
 
     fn report(&mut self, seconds: f64) {
-        self.reported = self.counts.report(&self.edge.topic.name, way(self.outgoing), &self.reported, seconds);
+        self.reported =
+            self.counts.report(&self.edge.topic.name, direction_word(self.outgoing), &self.reported, seconds);
     }
 }
 
@@ -41,7 +43,7 @@ fn reaches(edge: &Edge, outgoing: bool, machine: &str) -> bool {
 }
 
 /// The word for the direction of an edge.
-fn way(outgoing: bool) -> &'static str {
+fn direction_word(outgoing: bool) -> &'static str {
     if outgoing { "out" } else { "in" }
 }
 
@@ -74,7 +76,7 @@ impl<'a> BridgeReporter<'a> {
         let seconds = self.reported.elapsed().as_secs_f64();
         self.reported = Instant::now();
         self.edges.iter_mut().for_each(|edge| edge.report(seconds));
-        let states = self.links.look();
+        let states = self.links.check_peers();
         let links: Vec<_> = states.iter().map(|(machine, state)| self.link(machine, state, reachable)).collect();
         write_links(self.run.folder, self.run.run, &links).ok();
         self.keep_record();
@@ -152,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn a_link_is_shown_as_what_is_heard_and_reached_with_its_times_in_their_units() {
+    fn the_state_of_a_link_follows_from_its_peer_and_its_times_have_the_right_units() {
         let (folder, plan) = (tempfile::tempdir().unwrap(), plan(Vec::new(), Vec::new()));
         let links = links(&plan);
         let reporter = reporter(&plan, folder.path(), &links);
@@ -183,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn a_link_shows_what_goes_to_its_machine_or_comes_from_it() {
+    fn a_link_shows_the_edges_to_and_from_its_machine() {
         let outgoing = Edge { from: "base".to_owned(), ..edge("robot", "objects") };
         let incoming = Edge { from: "arm".to_owned(), ..edge("base", "tracks") };
         let (folder, plan) = (tempfile::tempdir().unwrap(), plan(vec![outgoing], vec![incoming]));
@@ -202,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn what_leaves_is_received_by_the_bridge_and_what_comes_is_sent_by_it() {
+    fn outgoing_messages_count_as_received_by_the_bridge_and_incoming_ones_as_sent_by_it() {
         let (outgoing, incoming) = (vec![edge("robot", "objects")], vec![edge("base", "tracks")]);
         let (folder, plan) = (tempfile::tempdir().unwrap(), plan(outgoing, incoming));
         let links = links(&plan);
@@ -220,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn the_next_bridge_of_the_run_goes_on_with_all_counts_of_each_edge_and_that_of_another_run_with_none() {
+    fn the_next_bridge_of_a_run_continues_all_counts_of_each_edge_and_that_of_another_run_starts_at_zero() {
         let from = |machine: &str| Edge { from: machine.to_owned(), ..edge("base", "tracks") };
         let (folder, plan) =
             (tempfile::tempdir().unwrap(), plan(vec![edge("robot", "objects")], vec![from("arm"), from("robot")]));
@@ -233,7 +235,7 @@ mod tests {
         }
         let counted = InputCounts { dropped: 20, gaps: 21, late: 22, malformed: 23, ..InputCounts::default() };
         *first.edges[0].counts.input() = counted;
-        let told = |reporter: &mut BridgeReporter<'_>| {
+        let counts_after_report = |reporter: &mut BridgeReporter<'_>| {
             reporter.report(true);
             let [input, ..] = reporter.record.status.inputs;
             let report = |EdgeReport { messages, lost, stale, malformed, .. }: &EdgeReport| {
@@ -242,14 +244,17 @@ mod tests {
             let reports: Vec<_> = reporter.edges.iter().map(|handle| report(&handle.reported)).collect();
             (reports, [input.received, input.dropped, input.gaps, input.late, input.malformed])
         };
-        let before = told(&mut first);
+        let before = counts_after_report(&mut first);
         let expected = (vec![[1, 2, 3, 4 + 23], [11, 12, 13, 14], [21, 22, 23, 24]], [1, 20 + 5, 21, 22, 4 + 23]);
         assert_eq!(before, expected);
         for _ in 0..2 {
-            assert_eq!(told(&mut reporter(&plan, folder.path(), &links)), before);
+            assert_eq!(counts_after_report(&mut reporter(&plan, folder.path(), &links)), before);
         }
         let record = StatusFile::open(&folder.path().join("bridge.status"), 8).unwrap();
         let run = BridgeRun { pipeline: "tracking", run: 8, folder: folder.path() };
-        assert_eq!(told(&mut BridgeReporter::new(&plan, run, record, &links)), (vec![[0; 4]; 3], [0; 5]));
+        assert_eq!(
+            counts_after_report(&mut BridgeReporter::new(&plan, run, record, &links)),
+            (vec![[0; 4]; 3], [0; 5])
+        );
     }
 }

@@ -36,7 +36,7 @@ enum Fault {
     /// A received message counts as finished before the readers have finished it.
     FinishesFirst,
     /// The receiving bridge counts its readers as informed of the end before they are.
-    TellsEndFirst,
+    AnnouncesEndFirst,
     /// The base's bridge does not wait for the other bridge to confirm its farewell.
     LeavesAtOnce,
     /// The robot's bridge does not note that the base wants nothing more.
@@ -91,7 +91,7 @@ enum Event {
     /// The base's bridge stops waiting for retransmissions.
     GiveUpRest,
     /// The reader is informed of the end.
-    TellEnd,
+    AnnounceEnd,
     /// The reader knows that nothing more comes, and ends.
     EndReader,
     /// The base's bridge stops carrying messages: all readers know the end.
@@ -185,7 +185,7 @@ struct Edge {
     /// Messages that the reader has finished.
     finished: Vec<u64>,
     /// The number of messages that was announced to the reader with the end.
-    told: Option<u64>,
+    announced: Option<u64>,
     /// The number of lost messages that the robot reports at its end.
     lost: u64,
 }
@@ -210,7 +210,7 @@ impl Edge {
         let of_robot = (self.acknowledged, self.has_heard, self.knows_finished, self.lost);
         let of_base = (self.is_finished, self.noted_end, self.is_marked, self.has_base_left);
         let under_way: Vec<_> = self.link.iter().map(position).collect();
-        let read = (self.reader, self.told, self.held.clone(), self.finished.clone());
+        let read = (self.reader, self.announced, self.held.clone(), self.finished.clone());
         (self.kills, robot, base, of_robot, of_base, under_way, read)
     }
 }
@@ -271,7 +271,7 @@ impl Edge {
             link: VecDeque::new(),
             held: VecDeque::new(),
             finished: Vec::new(),
-            told: None,
+            announced: None,
             lost: 0,
         };
         edge.start_robot(SendLog::default());
@@ -414,7 +414,7 @@ impl Edge {
             base.sequence.taken();
             base.follow = Some(number + 1);
         }
-        if ends && base.sequence.is_end_to_hear(position, verdict) {
+        if ends && base.sequence.counts_as_end(position, verdict) {
             base.count = number;
             base.has_ended = true;
             self.noted_end = (trial.fault != Fault::ForgetsEnd).then_some(number);
@@ -458,13 +458,13 @@ impl Edge {
         Some(())
     }
 
-    fn tell_end(&mut self) -> Option<()> {
+    fn announce_end(&mut self) -> Option<()> {
         let base = self.base.as_ref().filter(|base| base.has_ended && !base.has_carried)?;
-        if self.told.is_some() || self.reader != Reader::AtWork || self.unfinished() > 0 {
+        if self.announced.is_some() || self.reader != Reader::AtWork || self.unfinished() > 0 {
             return None;
         }
         // After a restart, fewer messages may have come than there were.
-        self.told = Some(self.noted_end.unwrap_or(base.count));
+        self.announced = Some(self.noted_end.unwrap_or(base.count));
         Some(())
     }
 
@@ -472,7 +472,7 @@ impl Edge {
         let base = self.base.as_ref().filter(|base| !base.has_carried)?;
         let is_due = match self.reader {
             Reader::Ended => true,
-            _ if trial.fault == Fault::TellsEndFirst => base.has_ended,
+            _ if trial.fault == Fault::AnnouncesEndFirst => base.has_ended,
             // A killed reader is not waited for once nothing is unfinished.
             Reader::Killed => base.has_ended && self.unfinished() == 0,
             Reader::AtWork => false,
@@ -500,7 +500,7 @@ impl Edge {
                 self.held.clear();
             }
             _ if self.reader == Reader::AtWork => {
-                (self.reader, self.told) = (Reader::Killed, None);
+                (self.reader, self.announced) = (Reader::Killed, None);
                 if !self.is_lossless() {
                     self.held.clear();
                 }
@@ -572,9 +572,9 @@ impl Edge {
                 let is_due = |base: &&mut Receiver| base.is_end_known && !base.has_carried && has_left;
                 next.base.as_mut().filter(is_due)?.has_ended = true;
             }
-            Event::TellEnd => next.tell_end()?,
+            Event::AnnounceEnd => next.announce_end()?,
             Event::EndReader => {
-                let is_due = (next.told.is_some() || next.is_marked) && next.held.is_empty();
+                let is_due = (next.announced.is_some() || next.is_marked) && next.held.is_empty();
                 next.reader = (is_due && next.reader == Reader::AtWork).then_some(Reader::Ended)?;
             }
             Event::EndCarrying => next.end_carrying(trial)?,
@@ -618,7 +618,7 @@ const EVENTS: [Event; 22] = [
     Event::HearRobot,
     Event::Finish,
     Event::GiveUpRest,
-    Event::TellEnd,
+    Event::AnnounceEnd,
     Event::EndReader,
     Event::EndCarrying,
     Event::NoteFinished,
@@ -655,13 +655,13 @@ impl Model for Trial {
                 let all = edge.finished.iter().copied().eq(0..edge.finished.len() as u64);
                 all || trial.delivery == Delivery::Latest && edge.finished.is_sorted_by(|one, next| one < next)
             }),
-            Property::always("none is told as lost", |_, edge: &Edge| edge.lost == 0),
+            Property::always("no message is reported as lost", |_, edge: &Edge| edge.lost == 0),
             Property::always("all are finished in the end", |trial: &Self, edge: &Edge| {
                 let all = edge.finished.len() as u64 == trial.messages;
                 all || trial.delivery == Delivery::Latest || !edge.is_over()
             }),
             Property::always("the end tells how many there are", |trial: &Self, edge: &Edge| {
-                edge.told.is_none_or(|told| told == trial.messages)
+                edge.announced.is_none_or(|announced| announced == trial.messages)
             }),
             Property::sometimes("the edge ends", |_, edge: &Edge| edge.is_over()),
         ]
@@ -697,20 +697,20 @@ impl Trial {
         let mut states = vec![Edge::new(self)];
         let mut numbers = HashMap::from([(states[0].fingerprint(), 0)]);
         let mut before: Vec<Vec<usize>> = vec![Vec::new()];
-        let mut looked_at = 0;
-        while looked_at < states.len() {
+        let mut explored = 0;
+        while explored < states.len() {
             for event in EVENTS {
-                let Some(next) = states[looked_at].after(event, self) else { continue };
+                let Some(next) = states[explored].after(event, self) else { continue };
                 let number = *numbers.entry(next.fingerprint()).or_insert_with(|| {
                     states.push(next);
                     before.push(Vec::new());
                     states.len() - 1
                 });
                 if event.victim().is_none() {
-                    before[number].push(looked_at);
+                    before[number].push(explored);
                 }
             }
-            looked_at += 1;
+            explored += 1;
         }
         let mut left: Vec<usize> = (0..states.len()).filter(|number| states[*number].is_over()).collect();
         let mut ends = vec![false; states.len()];
@@ -747,7 +747,7 @@ fn without_a_key_no_order_of_events_loses_anything_or_keeps_a_run_waiting() {
 }
 
 #[test]
-fn where_the_newest_wins_no_order_of_events_brings_a_message_twice_or_keeps_a_run_waiting() {
+fn with_latest_no_order_of_events_delivers_a_message_twice_or_keeps_a_run_waiting() {
     for (messages, kills) in [(2, [0, 1, 1]), (1, [1, 1, 0])] {
         Trial::new(Delivery::Latest, messages, kills).expect_to_hold(1000);
     }
@@ -756,7 +756,7 @@ fn where_the_newest_wins_no_order_of_events_brings_a_message_twice_or_keeps_a_ru
 /// Explores all orders of events with more messages and kills; takes minutes.
 #[test]
 #[ignore = "takes minutes"]
-fn no_longer_order_of_events_loses_anything_or_keeps_a_run_waiting() {
+fn no_order_of_more_events_loses_anything_or_keeps_a_run_waiting() {
     use Delivery::{Latest, Lossless};
     for has_key in [true, false] {
         for (delivery, messages, kills) in [
@@ -773,12 +773,12 @@ fn no_longer_order_of_events_loses_anything_or_keeps_a_run_waiting() {
 }
 
 #[test]
-fn what_an_edge_stands_on_cannot_be_left_out() {
+fn no_part_of_the_protocol_can_be_left_out() {
     use Delivery::{Latest, Lossless};
     for (fault, kills) in [
         (Fault::KeepsNoLog, [1, 0, 0]),
         (Fault::FinishesFirst, [0, 1, 0]),
-        (Fault::TellsEndFirst, [0, 1, 0]),
+        (Fault::AnnouncesEndFirst, [0, 1, 0]),
         (Fault::LeavesAtOnce, [1, 0, 0]),
     ] {
         assert!(!Trial { fault, ..Trial::new(Lossless, 2, kills) }.broken().0.is_empty(), "{fault:?} is not found out");

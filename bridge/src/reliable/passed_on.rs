@@ -29,7 +29,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_the_readers_have_not_finished_of_the_stream_may_be_needed_again() {
+    fn messages_of_the_stream_that_the_readers_have_not_finished_may_be_needed_again() {
         let mut passed_on = PassedOn::default();
         (3..7).for_each(|number| passed_on.add((5, number)));
         assert_eq!(passed_on.finished(2, (5, 7)), 5);

@@ -165,8 +165,8 @@ impl RetransmitQueue {
         if self.waiting().any(|remote| remote.lossless) {
             return self.log.has_room();
         }
-        let there = self.waiting().filter_map(|remote| Some((remote.expected, round_trip(&remote.machine)?)));
-        match there.reduce(|one, other| (one.0.min(other.0), one.1.max(other.1))) {
+        let present = self.waiting().filter_map(|remote| Some((remote.expected, round_trip(&remote.machine)?)));
+        match present.reduce(|one, other| (one.0.min(other.0), one.1.max(other.1))) {
             Some((next, round_trip)) => self.window.acknowledge(next, round_trip, now),
             None => self.window.clear(),
         }
@@ -316,12 +316,12 @@ mod tests {
     }
 
     #[test]
-    fn what_came_and_is_not_finished_is_kept_for_a_bridge_that_is_started_anew() {
+    fn messages_that_are_received_but_not_finished_are_kept_for_a_restarted_bridge() {
         let start = Instant::now();
         let mut queue = queue(Delivery::Lossless, start);
         (0..4_u8).for_each(|number| queue.sent(&[number; 40], start));
-        let came = Ack { finished: 1, ..ack(4, &[]) };
-        queue.acknowledge("base", Some(&came), Some(start), start);
+        let received = Ack { finished: 1, ..ack(4, &[]) };
+        queue.acknowledge("base", Some(&received), Some(start), start);
         let later = start + RESEND_AFTER;
         assert!(queue.due(later, |_| true).is_empty(), "all of them came");
         assert!(!queue.is_settled(later));
@@ -337,18 +337,18 @@ mod tests {
     }
 
     #[test]
-    fn what_was_not_sent_cannot_be_acknowledged_and_each_time_is_told_once() {
+    fn an_acknowledgement_of_unsent_messages_is_ignored_and_reported_once() {
         let start = Instant::now();
         let mut queue = queue(Delivery::Lossless, start);
         (0..4_u8).for_each(|number| queue.sent(&[number; 40], start));
-        let told: Vec<_> = [ack(4, &[]), ack(5, &[]), ack(5, &[]), ack(u64::MAX, &[]), ack(4, &[]), ack(9, &[])]
+        let reported: Vec<_> = [ack(4, &[]), ack(5, &[]), ack(5, &[]), ack(u64::MAX, &[]), ack(4, &[]), ack(9, &[])]
             .iter()
             .map(|ack| {
                 queue.acknowledge("base", Some(&Ack { finished: 2, ..ack.clone() }), Some(start), start);
                 queue.take_overstated()
             })
             .collect();
-        assert_eq!(told, [false, true, false, false, false, true]);
+        assert_eq!(reported, [false, true, false, false, false, true]);
         assert_eq!((queue.next_position().oldest, queue.take_overstated()), (2, false));
         let other = Ack { stream: 2, ..ack(u64::MAX, &[]) };
         queue.acknowledge("base", Some(&other), Some(start), start);
@@ -356,7 +356,7 @@ mod tests {
     }
 
     #[test]
-    fn who_wants_nothing_more_is_sent_nothing_until_it_is_in_another_run_and_gets_what_follows_then() {
+    fn a_receiver_that_has_finished_is_sent_nothing_until_its_next_run_which_gets_later_messages() {
         let start = Instant::now();
         let mut queue = queue(Delivery::Lossless, start);
         (0..3_u8).for_each(|number| queue.sent(&[number; 40], start));
@@ -373,7 +373,7 @@ mod tests {
     }
 
     #[test]
-    fn who_was_started_anew_is_told_again_which_writers_have_ended() {
+    fn a_restarted_receiver_is_sent_the_ends_of_writers_again() {
         let start = Instant::now();
         let mut queue = queue(Delivery::Lossless, start);
         queue.sent_end("one", &[0; 80], start);
@@ -396,7 +396,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_acknowledged_is_sent_again_and_what_is_is_forgotten() {
+    fn unacknowledged_messages_are_sent_again_and_acknowledged_ones_are_forgotten() {
         let start = Instant::now();
         let mut queue = queue(Delivery::Lossless, start);
         (0..3_u8).for_each(|number| queue.sent(&[number; 40], start));
@@ -413,7 +413,7 @@ mod tests {
     }
 
     #[test]
-    fn who_says_to_have_more_than_was_sent_is_not_believed() {
+    fn an_acknowledgement_of_unsent_messages_settles_nothing() {
         let start = Instant::now();
         let silent = start + 2 * END_PATIENCE;
         let mut queue = queue(Delivery::Lossless, start);
@@ -427,7 +427,7 @@ mod tests {
     }
 
     #[test]
-    fn neither_what_is_sent_meanwhile_nor_an_old_acknowledgement_puts_off_what_is_sent_again() {
+    fn neither_new_messages_nor_an_old_acknowledgement_delay_a_retransmission() {
         let begin = Instant::now();
         let mut queue = queue(Delivery::Lossless, begin);
         let start = begin + 4 * RESEND_AFTER;
@@ -440,7 +440,7 @@ mod tests {
     }
 
     #[test]
-    fn who_may_miss_messages_is_sent_none_again() {
+    fn a_receiver_with_latest_is_sent_nothing_again() {
         let start = Instant::now();
         let receivers = [("base", Delivery::Lossless), ("view", Delivery::Latest)]
             .map(|(machine, delivery)| Receiver { machine: machine.to_owned(), delivery });
@@ -464,7 +464,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_given_up_is_lost_in_the_next_process_too_whether_or_not_the_edge_has_ended() {
+    fn messages_given_up_count_as_lost_in_the_next_process_whether_or_not_the_edge_has_ended() {
         let (folder, start) = (tempfile::tempdir().unwrap(), Instant::now());
         let receiver = Receiver { machine: "base".to_owned(), delivery: Delivery::Lossless };
         let open = || {
@@ -480,7 +480,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slow_receiver_is_sent_the_same_again_less_and_less_often() {
+    fn retransmissions_to_a_slow_receiver_become_rarer() {
         let start = Instant::now();
         let mut queue = queue(Delivery::Lossless, start);
         queue.sent(&[0; 40], start);
@@ -495,7 +495,7 @@ mod tests {
     }
 
     #[test]
-    fn a_machine_is_waited_for_as_long_as_the_file_says_and_then_counted() {
+    fn messages_for_a_missing_machine_are_kept_for_the_outage_and_then_counted_as_lost() {
         let start = Instant::now();
         let mut queue = queue(Delivery::Lossless, start);
         (0..CAPACITY).for_each(|_| queue.sent(&[0; 40], start));
@@ -511,7 +511,7 @@ mod tests {
     }
 
     #[test]
-    fn at_the_end_what_was_given_up_and_what_was_not_acknowledged_is_lost_to_who_wants_all() {
+    fn at_the_end_messages_given_up_or_unacknowledged_are_lost_to_lossless_receivers() {
         let start = Instant::now();
         let mut lossless = queue(Delivery::Lossless, start);
         (0..3).for_each(|_| lossless.sent(&[0; 40], start));
@@ -529,24 +529,24 @@ mod tests {
     }
 
     #[test]
-    fn where_the_newest_wins_no_queue_builds_up_on_a_slow_link() {
+    fn with_latest_no_queue_builds_up_on_a_slow_link() {
         let start = Instant::now();
         let mut queue = queue(Delivery::Latest, start);
         assert!(!queue.is_wanted(|_| false) && queue.is_wanted(|_| true));
-        let (there, away) = (|_: &str| Some(Duration::ZERO), |_: &str| None);
-        assert!(queue.may_send(start, there));
+        let (connected, away) = (|_: &str| Some(Duration::ZERO), |_: &str| None);
+        assert!(queue.may_send(start, connected));
         queue.sent(&[1; 40], start);
-        assert!(!queue.may_send(start, there));
+        assert!(!queue.may_send(start, connected));
         queue.acknowledge("base", Some(&ack(1, &[])), Some(start), start);
-        assert!(queue.may_send(start, there));
+        assert!(queue.may_send(start, connected));
         queue.sent(&[2; 40], start);
         queue.sent(&[3; 40], start);
-        assert!(!queue.may_send(start, there));
+        assert!(!queue.may_send(start, connected));
         assert!(queue.may_send(start, away), "nobody is there to wait for");
     }
 
     #[test]
-    fn where_the_newest_wins_only_the_end_is_repeated_until_it_is_known() {
+    fn with_latest_only_the_end_is_repeated_until_it_is_acknowledged() {
         let start = Instant::now();
         let mut queue = queue(Delivery::Latest, start);
         queue.sent(&[1; 40], start);

@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn the_next_process_finds_what_was_not_forgotten() {
+    fn the_next_process_finds_the_messages_that_were_not_forgotten() {
         let folder = tempfile::tempdir().unwrap();
         let open = || SendLog::in_folder(folder.path().to_owned(), "cameras/front");
         let mut log = open();
@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn the_next_process_knows_how_many_were_given_up_also_when_nothing_is_kept_any_more() {
+    fn the_next_process_knows_the_number_given_up_even_when_no_message_is_kept() {
         let folder = tempfile::tempdir().unwrap();
         let open = || SendLog::in_folder(folder.path().to_owned(), "cameras/front");
         for lost in [0, 2, 5] {
@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn there_is_room_for_so_many_bytes() {
+    fn the_log_has_room_for_a_limited_number_of_bytes() {
         let mut log = SendLog::default();
         log.add(0, &vec![0; CAPACITY_BYTES - 1]);
         assert!(log.has_room());
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn a_message_that_was_not_written_to_its_end_is_none() {
+    fn a_message_that_was_written_in_part_is_ignored() {
         let folder = tempfile::tempdir().unwrap();
         let open = || SendLog::in_folder(folder.path().to_owned(), "objects");
         (0..3).for_each(|number| open().add(number, &message(number)));

@@ -68,16 +68,16 @@ pub(crate) struct Sequence {
     /// The session of the bridge that sent the last message of the stream.
     session: u64,
     /// Stream and number that were expected before the last leap.
-    left: Option<(u64, u64)>,
+    leapt_from: Option<(u64, u64)>,
     lost: u64,
     misled: bool,
     refuted: bool,
     /// Doubtful messages, which are believed when they come again, and when they first came.
     doubts: VecDeque<(Claim, Instant)>,
     /// When the last message of the stream came.
-    came: Option<Instant>,
+    last_message_at: Option<Instant>,
     /// When the last new message came.
-    new_came: Option<Instant>,
+    last_new_message_at: Option<Instant>,
 }
 
 impl Sequence {
@@ -89,13 +89,13 @@ impl Sequence {
             stream: 0,
             next: 0,
             session: 0,
-            left: None,
+            leapt_from: None,
             lost: 0,
             misled: false,
             refuted: false,
             doubts: VecDeque::new(),
-            came: None,
-            new_came: None,
+            last_message_at: None,
+            last_new_message_at: None,
         }
     }
 
@@ -104,7 +104,7 @@ impl Sequence {
     pub(super) fn essence(&self) -> impl std::hash::Hash + PartialEq + std::fmt::Debug + use<> {
         let doubts: Vec<_> =
             self.doubts.iter().map(|(claim, _)| (claim.position.stream, claim.position.number)).collect();
-        (self.expected(), self.session, self.left, self.lost, self.came.is_some(), doubts)
+        (self.expected(), self.session, self.leapt_from, self.lost, self.last_message_at.is_some(), doubts)
     }
 
     /// The stream that is received, and the number that is expected next.
@@ -119,7 +119,7 @@ impl Sequence {
 
     /// Whether a message counts as an end, given the verdict on it. A repeated end counts, too: a bridge that was restarted has
     /// not heard it.
-    pub(crate) fn is_end_to_hear(&self, position: StreamPosition, verdict: Verdict) -> bool {
+    pub(crate) fn counts_as_end(&self, position: StreamPosition, verdict: Verdict) -> bool {
         match verdict {
             Verdict::Take => true,
             Verdict::Old => self.is_of_stream(position),
@@ -145,7 +145,7 @@ impl Sequence {
     /// Decides whether a message is to be taken. It counts as received only after [`Sequence::taken`].
     pub(crate) fn judge(&mut self, claim: Claim, now: Instant) -> Verdict {
         let position = claim.position;
-        if position.stream < self.stream && !is_silent(self.came, now) {
+        if position.stream < self.stream && !is_silent(self.last_message_at, now) {
             return Verdict::Old;
         }
         let oldest = match (self.lossless, claim.may_be_repeated) {
@@ -158,13 +158,13 @@ impl Sequence {
         if is_doubtful && !self.is_confirmed(&claim, now) {
             return Verdict::Early;
         }
-        (self.came, self.session) = (Some(now), claim.session);
+        (self.last_message_at, self.session) = (Some(now), claim.session);
         if position.stream != self.stream {
-            let before = self.left.filter(|(stream, _)| *stream == position.stream);
+            let before = self.leapt_from.filter(|(stream, _)| *stream == position.stream);
             self.leap(position.stream, before.map_or(oldest, |(_, next)| oldest.max(next)));
         }
         // With `latest`, one path may be much slower than another; so also require that nothing new has come.
-        if self.is_far_behind(&claim) && (self.lossless || is_silent(self.new_came, now)) {
+        if self.is_far_behind(&claim) && (self.lossless || is_silent(self.last_new_message_at, now)) {
             // Do not retake messages taken before the leap; do not count as lost messages that were not sent yet.
             let next = oldest.max(self.before_leap().filter(|next| *next < self.next).unwrap_or_default());
             self.lost = self.lost.saturating_sub(self.next - next);
@@ -174,7 +174,7 @@ impl Sequence {
         if position.number < self.next {
             return Verdict::Old;
         }
-        self.new_came = Some(now);
+        self.last_new_message_at = Some(now);
         if oldest > self.next {
             let known = self.next.max(self.before_leap().filter(|next| *next <= oldest).unwrap_or_default());
             self.lost = self.lost.saturating_add(oldest - known);
@@ -203,7 +203,7 @@ impl Sequence {
 
     /// Whether a third party may have sent a message, because its sender sends such messages rarely.
     fn is_doubtful(&self, claim: &Claim, oldest: u64) -> bool {
-        if self.trusted || !self.lossless || self.came.is_none() {
+        if self.trusted || !self.lossless || self.last_message_at.is_none() {
             return false;
         }
         let is_next = claim.position.number == self.next;
@@ -234,14 +234,14 @@ impl Sequence {
 
     /// Expects this number of this stream next, and remembers what was expected before.
     fn leap(&mut self, stream: u64, next: u64) {
-        self.left = Some((self.stream, self.next));
+        self.leapt_from = Some((self.stream, self.next));
         (self.stream, self.next) = (stream, next);
         self.doubts.clear();
     }
 
     /// The number of the present stream that was expected before the last leap, if that was within the stream.
     fn before_leap(&self) -> Option<u64> {
-        self.left.filter(|(stream, _)| *stream == self.stream).map(|(_, next)| next)
+        self.leapt_from.filter(|(stream, _)| *stream == self.stream).map(|(_, next)| next)
     }
 }
 
@@ -286,7 +286,7 @@ mod tests {
     }
 
     #[test]
-    fn lossless_takes_each_once_and_in_order() {
+    fn a_lossless_sequence_takes_each_message_once_and_in_order() {
         let mut sequence = Sequence::new(true, false);
         let verdicts = [3, 5, 4, 3, 5].map(|number| take(&mut sequence, 1, number, 3));
         assert_eq!(verdicts, [Verdict::Take, Verdict::Early, Verdict::Take, Verdict::Old, Verdict::Take]);
@@ -294,23 +294,23 @@ mod tests {
     }
 
     #[test]
-    fn an_end_is_heard_also_when_it_is_told_again_but_not_that_of_an_earlier_stream() {
+    fn a_repeated_end_counts_as_an_end_but_not_that_of_an_earlier_stream() {
         let mut sequence = Sequence::new(true, true);
         take(&mut sequence, 5, 0, 0);
         take(&mut sequence, 5, 1, 0);
-        let mut told = |stream: u64, number: u64| {
+        let mut judged = |stream: u64, number: u64| {
             let position = StreamPosition { stream, number, oldest: 0 };
             let verdict = sequence.judge(end(position), Instant::now());
-            (sequence.is_of_stream(position), sequence.is_end_to_hear(position, verdict), verdict)
+            (sequence.is_of_stream(position), sequence.counts_as_end(position, verdict), verdict)
         };
-        assert_eq!(told(5, 1), (true, true, Verdict::Old));
-        assert_eq!(told(5, 2), (true, true, Verdict::Take));
-        assert_eq!(told(5, 3), (true, false, Verdict::Early), "others have to come before it");
-        assert_eq!(told(4, 1), (false, false, Verdict::Old));
+        assert_eq!(judged(5, 1), (true, true, Verdict::Old));
+        assert_eq!(judged(5, 2), (true, true, Verdict::Take));
+        assert_eq!(judged(5, 3), (true, false, Verdict::Early), "others have to come before it");
+        assert_eq!(judged(4, 1), (false, false, Verdict::Old));
     }
 
     #[test]
-    fn what_the_sender_has_given_up_is_counted_and_not_waited_for() {
+    fn messages_that_the_sender_has_given_up_are_counted_and_not_waited_for() {
         let mut sequence = Sequence::new(true, true);
         take(&mut sequence, 1, 0, 0);
         assert_eq!(take(&mut sequence, 1, 9, 8), Verdict::Early);
@@ -319,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn an_end_that_is_told_again_counts_nothing_as_lost() {
+    fn a_repeated_end_counts_nothing_as_lost() {
         let now = Instant::now();
         for first in
             [StreamPosition { stream: 1, number: 2, oldest: 9 }, StreamPosition { stream: 1, number: 8, oldest: 9 }]
@@ -333,7 +333,7 @@ mod tests {
     }
 
     #[test]
-    fn the_newest_wins_where_that_is_wanted() {
+    fn with_latest_the_newest_message_is_taken() {
         let mut sequence = Sequence::new(false, false);
         let verdicts = [4, 6, 5].map(|number| take(&mut sequence, 1, number, number));
         assert_eq!(verdicts, [Verdict::Take, Verdict::Take, Verdict::Old]);
@@ -341,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sender_that_starts_anew_is_followed_and_its_predecessor_not() {
+    fn a_restarted_sender_is_followed_and_its_predecessor_ignored() {
         for lossless in [true, false] {
             let mut sequence = Sequence::new(lossless, false);
             take(&mut sequence, 5, 7, 7);
@@ -381,12 +381,12 @@ mod tests {
     }
 
     #[test]
-    fn a_forged_message_is_not_taken_and_takes_nothing_from_the_true_ones() {
+    fn a_forged_message_is_not_taken_and_displaces_no_genuine_one() {
         let start = Instant::now();
         for forged in forged() {
             let mut sequence = at_work(start);
             let verdict = sequence.judge(forged, start);
-            assert!(!sequence.is_end_to_hear(forged.position, verdict) && verdict != Verdict::Take, "{forged:?}");
+            assert!(!sequence.counts_as_end(forged.position, verdict) && verdict != Verdict::Take, "{forged:?}");
             assert_eq!(sequence.expected(), (7, 100), "{forged:?}");
             let true_ones = [100, 101].map(|number| claim(StreamPosition { stream: 7, number, oldest: 98 }));
             assert_eq!(
@@ -401,7 +401,7 @@ mod tests {
     }
 
     #[test]
-    fn a_forged_message_that_comes_again_and_again_brings_the_edge_out_of_step_for_a_while_alone() {
+    fn a_forged_message_that_is_repeated_disturbs_the_edge_only_for_a_while() {
         let start = Instant::now();
         for forged in forged() {
             let (mut sequence, mut now, mut taken) = (at_work(start), start, Vec::new());
@@ -431,7 +431,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_sender_seldom_does_is_believed_when_it_comes_again() {
+    fn a_rare_kind_of_message_is_believed_when_it_is_repeated() {
         let start = Instant::now();
         let position = |stream, number, oldest| StreamPosition { stream, number, oldest };
         for (seldom, next, lost) in [
@@ -463,15 +463,15 @@ mod tests {
 
     /// A forged stream, or a forged number of the true stream, is left again.
     #[test]
-    fn what_was_taken_before_a_leap_is_not_taken_again_when_the_sender_goes_on_as_before() {
+    fn messages_taken_before_a_leap_are_not_taken_again_when_the_sender_continues_as_before() {
         let start = Instant::now();
         for forged in
             [StreamPosition { stream: 8, number: 0, oldest: 0 }, StreamPosition { stream: 7, number: 900, oldest: 900 }]
         {
             let mut sequence = at_work(start);
             let forged = Claim { session: 7, ..claim(forged) };
-            let told = [Duration::ZERO, LATER].map(|later| take_claim(&mut sequence, forged, start + later));
-            assert_eq!(told, [Verdict::Early, Verdict::Take], "{forged:?}");
+            let verdicts = [Duration::ZERO, LATER].map(|later| take_claim(&mut sequence, forged, start + later));
+            assert_eq!(verdicts, [Verdict::Early, Verdict::Take], "{forged:?}");
             // The sender goes back to numbers before the leap; it is believed when these have come twice.
             let mut taken = Vec::new();
             for (number, later) in [(99, STREAM_TIMEOUT), (99, STREAM_TIMEOUT + LATER), (100, STREAM_TIMEOUT + LATER)] {
@@ -486,19 +486,19 @@ mod tests {
     }
 
     #[test]
-    fn an_end_that_was_heard_before_a_leap_is_heard_when_it_comes_again() {
+    fn an_end_from_before_a_leap_counts_when_it_is_repeated() {
         let (start, mut sequence) = (Instant::now(), Sequence::new(true, false));
         let old = StreamPosition { stream: 7, number: 3, oldest: 3 };
         take(&mut sequence, 7, 50, 50);
-        let heard = [Duration::ZERO, LATER].map(|later| {
+        let are_ends = [Duration::ZERO, LATER].map(|later| {
             let verdict = sequence.judge(end(old), start + later);
-            sequence.is_end_to_hear(old, verdict)
+            sequence.counts_as_end(old, verdict)
         });
-        assert_eq!((heard, sequence.expected(), sequence.take_refuted()), ([false, true], (7, 51), false));
+        assert_eq!((are_ends, sequence.expected(), sequence.take_refuted()), ([false, true], (7, 51), false));
     }
 
     #[test]
-    fn no_more_doubts_are_kept_than_tell_true_messages() {
+    fn the_number_of_doubtful_messages_that_are_kept_is_limited() {
         let (start, mut sequence) = (Instant::now(), Sequence::new(true, false));
         take(&mut sequence, 7, 0, 0);
         for number in 2..1000 {
@@ -510,7 +510,7 @@ mod tests {
     }
 
     #[test]
-    fn a_number_that_the_sender_never_reached_stops_nothing_where_the_newest_wins() {
+    fn with_latest_a_forged_number_ahead_of_the_sender_does_not_stop_the_edge() {
         for forged in [1 << 63, 100_000] {
             let (mut sequence, start) = (Sequence::new(false, false), Instant::now());
             let mut take = |number: u64, oldest: u64, now: Instant| {
@@ -528,7 +528,7 @@ mod tests {
     }
 
     #[test]
-    fn what_somebody_repeats_of_a_trusted_sender_is_old_however_old_it_is() {
+    fn replayed_messages_of_a_trusted_sender_are_old_at_any_age() {
         for lossless in [true, false] {
             let (mut sequence, start) = (Sequence::new(lossless, true), Instant::now());
             let position = |number| StreamPosition { stream: 1, number, oldest: number };
@@ -543,7 +543,7 @@ mod tests {
     }
 
     #[test]
-    fn what_comes_late_by_a_slow_way_is_old_as_long_as_new_ones_come() {
+    fn late_messages_of_a_slower_path_are_old_as_long_as_new_ones_arrive() {
         let (mut sequence, start) = (Sequence::new(false, false), Instant::now());
         for number in 0..300_u64 {
             let now = start + Duration::from_millis(33 * number);
@@ -558,14 +558,14 @@ mod tests {
     }
 
     #[test]
-    fn what_is_sent_again_because_its_acknowledgement_was_lost_is_old() {
+    fn a_message_retransmitted_after_a_lost_acknowledgement_is_old() {
         let mut sequence = Sequence::new(true, false);
         take(&mut sequence, 1, FARTHEST_BEHIND, FARTHEST_BEHIND);
         assert_eq!(take(&mut sequence, 1, 1, 1), Verdict::Old);
         take(&mut sequence, 1, FARTHEST_BEHIND + 1, FARTHEST_BEHIND + 1);
         let first = end(StreamPosition { stream: 1, number: 0, oldest: 0 });
-        let told = [Duration::ZERO, LATER].map(|later| sequence.judge(first, Instant::now() + later));
-        assert_eq!(told, [Verdict::Early, Verdict::Old], "an end is told until everybody knows it");
+        let verdicts = [Duration::ZERO, LATER].map(|later| sequence.judge(first, Instant::now() + later));
+        assert_eq!(verdicts, [Verdict::Early, Verdict::Old], "an end is told until everybody knows it");
         assert_eq!((sequence.expected(), sequence.take_misled()), ((1, FARTHEST_BEHIND + 2), false));
     }
 

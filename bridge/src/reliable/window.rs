@@ -88,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn it_opens_while_messages_arrive_in_time_and_closes_when_they_wait() {
+    fn the_window_grows_while_messages_arrive_in_time_and_shrinks_when_they_are_late() {
         let (mut window, mut now) = (Window::new(WAIT), Instant::now());
         let mut next = fill(&mut window, 0, now);
         let mut sizes = Vec::new();
@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_lost_is_not_waited_for() {
+    fn a_lost_message_is_not_waited_for() {
         let (mut window, start) = (Window::new(WAIT), Instant::now());
         fill(&mut window, 0, start);
         window.acknowledge(0, ROUND_TRIP, start + SURELY_LOST - Duration::from_millis(1));

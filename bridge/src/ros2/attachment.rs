@@ -63,7 +63,7 @@ mod tests {
     }
 
     #[test]
-    fn that_of_jazzy_has_77_bytes_with_names() {
+    fn an_attachment_of_jazzy_has_77_bytes_with_names() {
         let bytes = ATTACHMENT.to_bytes();
         let named = [NAMES[0], &bytes[..8], NAMES[1], &bytes[8..16], NAMES[2], &bytes[16..]].concat();
         assert_eq!(named.len(), 77);
@@ -71,7 +71,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_none_is_told_from_one() {
+    fn bytes_that_are_no_attachment_are_refused() {
         let bytes = ATTACHMENT.to_bytes();
         for length in [0, 1, 16, 17, 32] {
             assert_eq!(Attachment::read(&bytes[..length]), None, "{length} bytes");

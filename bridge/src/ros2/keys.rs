@@ -182,16 +182,16 @@ mod tests {
     }
 
     #[test]
-    fn keys_and_tokens_of_rmw_zenoh() {
+    fn keys_and_tokens_are_those_of_rmw_zenoh() {
         let participant = participant(Via::RmwZenoh, Distro::Jazzy);
         let keys = Keys(&participant);
-        let told: Vec<_> = participant.ends.iter().map(|end| keys.key(end)).collect();
+        let actual: Vec<_> = participant.ends.iter().map(|end| keys.key(end)).collect();
         let detections = "vision_msgs::msg::dds_::Detection3DArray_";
-        assert_eq!(told[0], "7/camera/depth/image/sensor_msgs::msg::dds_::Image_/*");
-        assert_eq!(told[1], "7/tf_static/tf2_msgs::msg::dds_::TFMessage_/*");
-        assert_eq!(told[2], format!("7/conicflow/tracks/{detections}/{DETECTIONS_HASH}"));
+        assert_eq!(actual[0], "7/camera/depth/image/sensor_msgs::msg::dds_::Image_/*");
+        assert_eq!(actual[1], "7/tf_static/tf2_msgs::msg::dds_::TFMessage_/*");
+        assert_eq!(actual[2], format!("7/conicflow/tracks/{detections}/{DETECTIONS_HASH}"));
         let taken: Vec<_> = participant.ends[..2].iter().map(|end| keys.keys_to_take(end)).collect();
-        assert_eq!(taken, [vec![told[0].clone(), format!("{}/_buf_cpu", told[0])], vec![told[1].clone()]]);
+        assert_eq!(taken, [vec![actual[0].clone(), format!("{}/_buf_cpu", actual[0])], vec![actual[1].clone()]]);
         assert!(comes_below(&taken[0][1]) && !comes_below(&taken[0][0]));
         let node = format!("@ros2_lv/7/{ZID}/0");
         let tf = "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087";
@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn only_who_takes_bytes_from_rmw_zenoh_takes_messages_below_their_key() {
+    fn only_a_subscriber_over_rmw_zenoh_takes_messages_below_its_key() {
         let takes_below = |via, way| {
             let participant = participant(via, Distro::Jazzy);
             Keys(&participant).takes_below(&end("/camera/depth/image", IMAGE, way))
@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn humble_has_no_numbers_of_types() {
+    fn humble_has_no_type_hashes() {
         let participant = participant(Via::RmwZenoh, Distro::Humble);
         let key = Keys(&participant).key(&participant.ends[2]);
         assert_eq!(key, "7/conicflow/tracks/vision_msgs::msg::dds_::Detection3DArray_/TypeHashNotSupported");
@@ -236,11 +236,11 @@ mod tests {
     }
 
     #[test]
-    fn keys_and_tokens_of_ros2dds() {
+    fn keys_and_tokens_are_those_of_ros2dds() {
         let participant = participant(Via::Ros2dds, Distro::Humble);
         let keys = Keys(&participant);
-        let told: Vec<_> = participant.ends.iter().map(|end| keys.key(end)).collect();
-        assert_eq!(told, ["camera/depth/image", "tf_static", "conicflow/tracks"]);
+        let actual: Vec<_> = participant.ends.iter().map(|end| keys.key(end)).collect();
+        assert_eq!(actual, ["camera/depth/image", "tf_static", "conicflow/tracks"]);
         let expected = [
             format!("@/{ZID}/@ros2_lv/MS/camera§depth§image/sensor_msgs§msg§Image/:0:0:0,10"),
             format!("@/{ZID}/@ros2_lv/MS/tf_static/tf2_msgs§msg§TFMessage/:1:1:0,10"),

@@ -8,7 +8,7 @@ mod attachment;
 mod keys;
 
 use crate::channel::Channel;
-use crate::session::reaches_anybody;
+use crate::session::has_link;
 use crate::settings;
 use attachment::Attachment;
 use conicflow_dataflow::{Node, StageError, Variant, lock, unix_ns};
@@ -191,7 +191,7 @@ impl Keeper {
     fn keep(&self, config: &zenoh::Config) {
         while let Some(joined) = self.joined.upgrade() {
             if let Some(ends) = joined.session.get() {
-                self.look(&joined, ends);
+                self.check_router(&joined, ends);
             } else {
                 match zenoh::open(config.clone()).wait().and_then(|session| self.declare(session)) {
                     Ok(ends) => drop(joined.session.set(ends)),
@@ -209,8 +209,8 @@ impl Keeper {
     }
 
     /// Checks whether the router is reached; once it is reached again, asks for earlier messages.
-    fn look(&self, joined: &Joined, ends: &Ends) {
-        if joined.note(reaches_anybody(&ends.session)) {
+    fn check_router(&self, joined: &Joined, ends: &Ends) {
+        if joined.note(has_link(&ends.session)) {
             self.ask_for_latched(&ends.session);
         }
     }
@@ -251,13 +251,13 @@ impl Keeper {
             let query = session.get(key).target(QueryTarget::All).consolidation(ConsolidationMode::None);
             // The replies are messages of the topic, whose key is not below the queried one.
             let query = query.accept_replies(ReplyKeyExpr::Any);
-            let asked = query.timeout(ANSWER).callback(move |reply| {
+            let declared = query.timeout(ANSWER).callback(move |reply| {
                 if let Ok(sample) = reply.into_result() {
                     inboxes[number].take(&sample);
                 }
             });
             // A failed query is ignored: new messages come by themselves.
-            asked.wait().ok();
+            declared.wait().ok();
         }
     }
 }
@@ -278,11 +278,11 @@ mod tests {
     }
 
     #[test]
-    fn numbers_that_a_publisher_leaves_out_are_missing() {
+    fn numbers_that_a_publisher_skips_count_as_missing() {
         let inbox = Inbox::new(Way::Subscribe(1));
         let missing = [(5, 1), (6, 1), (9, 1), (1, 2), (2, 2), (9, 1), (3, 1), (4, 1)];
-        let told = missing.map(|(sequence, end)| inbox.missing_before(numbered(sequence, end), true));
-        assert_eq!(told, [0, 0, 2, 0, 0, 0, 0, 0]);
+        let counted = missing.map(|(sequence, end)| inbox.missing_before(numbered(sequence, end), true));
+        assert_eq!(counted, [0, 0, 2, 0, 0, 0, 0, 0]);
         for forged in [i64::MAX, i64::MIN, 0, i64::MAX] {
             assert_eq!(inbox.missing_before(numbered(forged, 1), true), 0, "{forged}");
         }
@@ -308,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn each_topic_that_is_published_counts_for_itself() {
+    fn each_publisher_has_an_identifier_of_its_own() {
         let end = |way| End { topic: "/camera/depth/image".to_owned(), definition: IMAGE, way };
         let participant = Participant {
             ends: [Way::Publish, Way::Subscribe(1), Way::Publish].map(end).into(),
@@ -332,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn what_one_participant_publishes_another_knows_of_and_receives() {
+    fn a_participant_lists_and_receives_the_topics_of_another() {
         let endpoint = vec![loopback()];
         let listening = Machine { listen: endpoint.clone(), insecure: true, ..Machine::default() };
         let connecting = Machine { connect: endpoint, ..Machine::default() };
@@ -362,7 +362,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_lost_on_the_way_or_for_want_of_room_is_told_once() {
+    fn messages_lost_in_transit_or_for_lack_of_room_are_counted_once() {
         let middleware = middleware(Way::Subscribe(2));
         assert_eq!(middleware.take_lost(0), 0);
         [(1, b'a'), (2, b'b'), (6, b'c')]
@@ -378,22 +378,23 @@ mod tests {
     }
 
     #[test]
-    fn a_router_is_there_anew_when_it_was_not_before() {
+    fn a_router_counts_as_new_only_after_it_was_unreachable() {
         let middleware = middleware(Way::Subscribe(1));
         assert!(!middleware.is_joined());
-        let looks = [false, true, true, false, false, true];
-        let told = looks.map(|is_reached| (middleware.joined.note(is_reached), middleware.is_joined()));
+        let reached = [false, true, true, false, false, true];
+        let noted = reached.map(|is_reached| (middleware.joined.note(is_reached), middleware.is_joined()));
         let is_anew = [false, true, false, false, false, true];
-        assert_eq!(told.map(|(anew, _)| anew), is_anew);
-        assert_eq!(told.map(|(_, is_joined)| is_joined), looks);
+        assert_eq!(noted.map(|(anew, _)| anew), is_anew);
+        assert_eq!(noted.map(|(_, is_joined)| is_joined), reached);
     }
 
     /// A publisher of Lyrical uses three numbers per message if two other subscribers take it with memory backends.
     #[test]
-    fn numbers_that_went_to_other_keys_are_not_missing() {
+    fn numbers_used_for_other_keys_do_not_count_as_missing() {
         let inbox = Inbox::new(Way::Subscribe(1));
-        let came = [(1, false), (4, false), (7, false), (10, true), (11, true), (13, true), (14, false), (17, false)];
-        let told = came.map(|(sequence, is_numbered)| inbox.missing_before(numbered(sequence, 1), is_numbered));
-        assert_eq!(told, [0, 0, 0, 0, 0, 1, 0, 0]);
+        let messages =
+            [(1, false), (4, false), (7, false), (10, true), (11, true), (13, true), (14, false), (17, false)];
+        let counted = messages.map(|(sequence, is_numbered)| inbox.missing_before(numbered(sequence, 1), is_numbered));
+        assert_eq!(counted, [0, 0, 0, 0, 0, 1, 0, 0]);
     }
 }

@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn items_without_a_form_of_their_own_come_back_as_they_were() {
+    fn items_without_an_encoding_of_their_own_are_decoded_bit_for_bit() {
         let item = ItemType::of::<Velocity>();
         for count in [0, 1, 7] {
             let items: Vec<_> =
@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn each_type_has_its_form_on_the_wire() {
+    fn each_item_type_has_its_encoding_on_the_wire() {
         let form = |item: ItemType| {
             let mut bytes = Vec::new();
             codec_of(&item).encode(&header(), &[], Compression::None, &mut bytes).unwrap();
@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn items_are_taken_from_wherever_they_lie() {
+    fn items_are_encoded_from_memory_of_any_alignment() {
         let objects = [1.0, 2.0].map(|radius| Object { radius, ..Object::default() });
         for shift in 0..align_of::<Object>() {
             let bytes = [&vec![0; shift], cast_slice(&objects)].concat();
@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn lists_that_are_longer_than_a_message_and_images_with_too_many_pixels_do_not_leave() {
+    fn lists_and_images_that_are_too_long_for_a_message_are_not_encoded() {
         let longer = |size: usize| vec![0; (MAX_MESSAGE / size + 1) * size];
         for (item, size) in
             [(ItemType::of::<Ellipse>(), size_of::<Ellipse>()), (ItemType::of::<Velocity>(), size_of::<Velocity>())]

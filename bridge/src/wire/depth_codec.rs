@@ -73,7 +73,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_difference_survives() {
+    fn every_difference_of_two_depths_is_decoded_exactly() {
         for difference in 0..=u16::MAX {
             assert_eq!(unzigzag(zigzag(difference)), difference);
         }

@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn what_follows_from_the_rest_of_an_ellipse_takes_no_bytes() {
+    fn values_that_follow_from_the_rest_of_an_ellipse_take_no_bytes() {
         let circles: Vec<_> = (0..600).map(|index| circle(index % 300, index / 300)).collect();
         // Seventeen numbers are independent; equal numbers compress to nearly nothing.
         for how in HOW {
@@ -244,14 +244,15 @@ mod tests {
             assert!(back == circles);
             assert!(bytes < 600 * 17 * 8, "{how:?}: {bytes} bytes");
         }
-        let told = |item: &Ellipse| (item.center, item.semi_axes[1], item.half_width, item.half_depth, item.moments[0]);
+        let derived =
+            |item: &Ellipse| (item.center, item.semi_axes[1], item.half_width, item.half_depth, item.moments[0]);
         for circle in circles {
-            assert_eq!(told(&bytemuck::cast(expected(&header(), &circle))), told(&circle));
+            assert_eq!(derived(&bytemuck::cast(expected(&header(), &circle))), derived(&circle));
         }
     }
 
     #[test]
-    fn the_centre_that_is_expected_lies_in_the_plane_of_its_scan_line() {
+    fn the_expected_centre_lies_in_the_plane_of_its_scan_line() {
         for (scan, slope) in [(0, (100.0 - 239.5) / 520.0), (1, (100.0 - 319.5) / 525.0)] {
             let item = circle(100, scan);
             let ([x, y, z], [s, t]) = (center(&header(), &item), item.plane_center);
@@ -262,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn steps_are_told_from_other_numbers() {
+    fn multiples_of_a_step_are_distinguished_from_other_numbers() {
         for (value, word) in [(0.0, 0), (1.234, 1234), (-0.0, !(-0.0_f64).to_bits()), (1e-320, !1e-320_f64.to_bits())] {
             assert_eq!(to_steps(value, 0.001), word);
             assert_eq!(from_steps(word, 0.001).to_bits(), value.to_bits());
@@ -292,7 +293,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn whatever_numbers_come_back_bit_for_bit(
+        fn any_numbers_are_decoded_bit_for_bit(
             whole in prop::collection::vec(any::<[u32; WHOLE]>(), 0..6),
             real in prop::collection::vec(any::<u64>().prop_map(f64::from_bits), REAL),
         ) {

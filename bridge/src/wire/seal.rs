@@ -39,7 +39,7 @@ impl Seal {
     }
 
     /// Writes the session and, with a key, the code into a message or note before it goes out under this Zenoh key.
-    pub(crate) fn close(&self, zenoh_key: &str, bytes: &mut [u8]) {
+    pub(crate) fn sign(&self, zenoh_key: &str, bytes: &mut [u8]) {
         bytes[PREFIX..CODE].copy_from_slice(&self.session.to_le_bytes());
         if let Some(key) = &self.key {
             let code = code(key, zenoh_key, bytes);
@@ -48,15 +48,17 @@ impl Seal {
     }
 
     /// Checks the code of a message that came under this Zenoh key; returns the session that the message names.
-    pub(crate) fn open(&self, zenoh_key: &str, bytes: &[u8]) -> Result<u64, WireError> {
+    pub(crate) fn verify(&self, zenoh_key: &str, bytes: &[u8]) -> Result<u64, WireError> {
         content(bytes)?;
-        let came = &bytes[CODE..SEALED];
-        let is_there = came.iter().any(|byte| *byte != 0);
+        let code_in_message = &bytes[CODE..SEALED];
+        let has_code = code_in_message.iter().any(|byte| *byte != 0);
         match &self.key {
-            Some(_) if !is_there => Err(WireError::NoCode),
-            None if is_there => Err(WireError::UnexpectedCode),
+            Some(_) if !has_code => Err(WireError::NoCode),
+            None if has_code => Err(WireError::UnexpectedCode),
             // In constant time, which does not reveal where the two differ.
-            Some(key) if !bool::from(code(key, zenoh_key, bytes).as_ref().ct_eq(came)) => Err(WireError::WrongCode),
+            Some(key) if !bool::from(code(key, zenoh_key, bytes).as_ref().ct_eq(code_in_message)) => {
+                Err(WireError::WrongCode)
+            }
             _ => Ok(session_of(bytes)),
         }
     }
@@ -94,18 +96,18 @@ mod tests {
 
     fn closed(seal: &Seal) -> Vec<u8> {
         let mut bytes = [opening_bytes().as_slice(), b"place, header and body"].concat();
-        seal.close(ZENOH_KEY, &mut bytes);
+        seal.sign(ZENOH_KEY, &mut bytes);
         bytes
     }
 
     #[test]
-    fn what_was_made_with_the_key_passes_and_tells_its_session() {
+    fn a_message_sealed_with_the_key_passes_and_names_its_session() {
         let secret = secret();
         let (ours, theirs) = (Seal::new(Some(&secret), 1), Seal::new(Some(&secret), 0x0102_0304_0506_0708));
-        assert_eq!(ours.open(ZENOH_KEY, &closed(&theirs)), Ok(0x0102_0304_0506_0708));
+        assert_eq!(ours.verify(ZENOH_KEY, &closed(&theirs)), Ok(0x0102_0304_0506_0708));
         let plain = Seal::new(None, 7);
         assert!(ours.has_key() && !plain.has_key());
-        assert_eq!(plain.open(ZENOH_KEY, &closed(&plain)), Ok(7));
+        assert_eq!(plain.verify(ZENOH_KEY, &closed(&plain)), Ok(7));
     }
 
     #[test]
@@ -116,7 +118,7 @@ mod tests {
             for change in [1, 0x80, 0xff] {
                 let mut bytes = good.clone();
                 bytes[at] ^= change;
-                let error = seal.open(ZENOH_KEY, &bytes).unwrap_err();
+                let error = seal.verify(ZENOH_KEY, &bytes).unwrap_err();
                 let expected = match at {
                     0..4 => matches!(error, WireError::Foreign),
                     4..6 => matches!(error, WireError::Version { .. }),
@@ -124,9 +126,9 @@ mod tests {
                 };
                 assert!(expected, "byte {at} ^ {change}: {error}");
             }
-            assert!(seal.open(ZENOH_KEY, &good[..at]).is_err(), "cut at {at}");
+            assert!(seal.verify(ZENOH_KEY, &good[..at]).is_err(), "cut at {at}");
         }
-        assert_eq!(seal.open(ZENOH_KEY, &[good.as_slice(), &[0]].concat()), Err(WireError::WrongCode));
+        assert_eq!(seal.verify(ZENOH_KEY, &[good.as_slice(), &[0]].concat()), Err(WireError::WrongCode));
     }
 
     #[test]
@@ -136,20 +138,20 @@ mod tests {
         for other in
             ["conicflow/tracking/robot/objects", "conicflow/other/robot/ellipses", "conicflow/tracking/robot", ""]
         {
-            assert_eq!(seal.open(other, &good), Err(WireError::WrongCode), "{other}");
+            assert_eq!(seal.verify(other, &good), Err(WireError::WrongCode), "{other}");
         }
     }
 
     #[test]
-    fn who_has_another_key_or_none_does_not_pass() {
+    fn a_message_sealed_with_another_key_or_none_does_not_pass() {
         let [ours, theirs] = [(); 2].map(|()| Seal::new(Some(&secret()), 1));
         let plain = Seal::new(None, 1);
-        assert_eq!(ours.open(ZENOH_KEY, &closed(&theirs)), Err(WireError::WrongCode));
-        assert_eq!(ours.open(ZENOH_KEY, &closed(&plain)), Err(WireError::NoCode));
-        assert_eq!(plain.open(ZENOH_KEY, &closed(&ours)), Err(WireError::UnexpectedCode));
+        assert_eq!(ours.verify(ZENOH_KEY, &closed(&theirs)), Err(WireError::WrongCode));
+        assert_eq!(ours.verify(ZENOH_KEY, &closed(&plain)), Err(WireError::NoCode));
+        assert_eq!(plain.verify(ZENOH_KEY, &closed(&ours)), Err(WireError::UnexpectedCode));
         for seal in [&ours, &plain] {
             for cut in [&b""[..], b"CFLO", &closed(seal)[..SEALED - 1]] {
-                assert!(seal.open(ZENOH_KEY, cut).is_err());
+                assert!(seal.verify(ZENOH_KEY, cut).is_err());
             }
         }
     }

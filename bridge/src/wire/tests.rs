@@ -54,7 +54,7 @@ fn decode_as_all(bytes: &[u8]) {
 }
 
 #[test]
-fn lists_come_back_bit_for_bit() {
+fn lists_are_decoded_bit_for_bit() {
     let header = header(64, 48);
     for (how, length) in HOW.into_iter().flat_map(|how| [(how, 0), (how, 1), (how, 500)]) {
         let sent = vec![ellipse(); length];
@@ -64,7 +64,7 @@ fn lists_come_back_bit_for_bit() {
 }
 
 #[test]
-fn a_message_that_is_sent_again_tells_which_is_the_oldest_by_then() {
+fn a_retransmitted_message_names_the_oldest_one_kept_by_then() {
     let header = header(64, 48);
     let mut bytes = bytes_of(&header, &[ellipse()], Compression::None);
     set_oldest(&mut bytes, 300);
@@ -74,7 +74,7 @@ fn a_message_that_is_sent_again_tells_which_is_the_oldest_by_then() {
 }
 
 #[test]
-fn the_end_of_a_stream_has_no_items_and_nothing_behind_it() {
+fn the_end_of_a_stream_has_no_items_and_no_further_bytes() {
     let end = Header { flags: END_OF_STREAM, ..header(0, 0) };
     let mut bytes = bytes_of::<Track>(&end, &[], Compression::None);
     assert_eq!(decoded::<Track>(&bytes), Ok((position(), end, Vec::new())));
@@ -83,7 +83,7 @@ fn the_end_of_a_stream_has_no_items_and_nothing_behind_it() {
 }
 
 #[test]
-fn another_version_and_another_layout_are_named() {
+fn the_error_names_another_version_and_another_layout() {
     let mut bytes = bytes_of::<Object>(&header(4, 3), &[], Compression::None);
     let error = decoded::<Track>(&bytes).unwrap_err().to_string();
     assert!(error.contains("`conicflow.Header.v2 conicflow.Object.v2`, this one reads"), "{error}");
@@ -106,7 +106,7 @@ fn a_list_that_claims_more_than_it_has_is_refused() {
 }
 
 #[test]
-fn messages_that_are_too_long_neither_leave_nor_come() {
+fn messages_that_are_too_long_are_neither_encoded_nor_decoded() {
     let pixels = vec![0; MAX_MESSAGE / 2 + 1];
     let error = encoded(&header(pixels.len() as u32, 1), &pixels, Compression::None).unwrap_err();
     assert!(matches!(error, WireError::TooLong { bytes } if bytes > MAX_MESSAGE), "{error}");
@@ -146,7 +146,7 @@ fn images_that_do_not_fill_their_size_are_refused() {
 }
 
 #[test]
-fn numbers_that_make_no_sense_are_refused() {
+fn invalid_numbers_are_refused() {
     let nonsense = Ellipse { rms: f64::NAN, ..ellipse() };
     // The pose is checked even without the flag that says there is one.
     let nowhere = Header { world_from_camera: [[f64::NAN; 4]; 3], ..header(64, 48) };
@@ -159,10 +159,10 @@ fn numbers_that_make_no_sense_are_refused() {
 }
 
 #[test]
-fn the_layouts_of_all_that_every_program_knows_are_told() {
-    let told = layouts();
-    let is_reported = |name: &str| told.split(' ').any(|one| one == name);
-    assert!(is_reported(HEADER_TYPE_NAME) && BUILT_IN.iter().all(|item| is_reported(item.type_name())), "{told}");
+fn the_reported_layouts_are_those_of_all_built_in_types() {
+    let reported = layouts();
+    let is_reported = |name: &str| reported.split(' ').any(|one| one == name);
+    assert!(is_reported(HEADER_TYPE_NAME) && BUILT_IN.iter().all(|item| is_reported(item.type_name())), "{reported}");
 }
 
 #[test]
@@ -174,7 +174,7 @@ fn the_python_example_reads_this_version() {
 
 proptest! {
     #[test]
-    fn every_image_comes_back(width in 1_u32..40, height in 1_u32..30, seed: u64, rough: u16) {
+    fn every_image_is_decoded_bit_for_bit(width in 1_u32..40, height in 1_u32..30, seed: u64, rough: u16) {
         let mut state = seed | 1;
         let mut next = || { state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1); (state >> 48) as u16 };
         let pixels: Vec<u16> = (0..width * height).map(|_| next() & rough).collect();
@@ -185,7 +185,7 @@ proptest! {
     }
 
     #[test]
-    fn no_bytes_do_harm(bytes in prop::collection::vec(any::<u8>(), 0..600)) {
+    fn arbitrary_bytes_do_no_harm(bytes in prop::collection::vec(any::<u8>(), 0..600)) {
         decode_as_all(&bytes);
         decode_as_all(&[b"CFLO".as_slice(), &WIRE_VERSION.to_le_bytes(), &bytes].concat());
     }

@@ -35,12 +35,12 @@ pub fn step<S: Stage>(
     side_inputs: &SideInputs,
 ) -> Result<Owned<S::Output>, StageError> {
     check(header, items)?;
-    let (mut image, mut list, mut counts) = (Loan(Vec::new()), Vec::new(), BTreeMap::new());
-    let output = UntypedOutput { header: *header, memory: &mut image, counts: &mut counts };
+    let (mut loan, mut list, mut counts) = (Loan(Vec::new()), Vec::new(), BTreeMap::new());
+    let output = UntypedOutput { header: *header, memory: &mut loan, counts: &mut counts };
     let mut output = Output::new(output, &mut list);
     stage.step(&Message { header, items }, side_inputs, &mut output)?;
-    let (made, is_image) = (of_same_frame(output.header, header), output.is_image());
-    let items = if is_image { image.0 } else { list };
+    let (made, is_loaned) = (of_same_frame(output.header, header), output.is_loaned());
+    let items = if is_loaned { loan.0 } else { list };
     check(&made, &items)?;
     Ok((made, items))
 }

@@ -95,7 +95,7 @@ impl Source for Counting {
             return Ok(Next::End);
         }
         output.header = header(0);
-        output.image(4)?.fill(self.0);
+        output.loan(4)?.fill(self.0);
         self.0 += 1;
         Ok(Next::Message)
     }
@@ -321,7 +321,7 @@ impl Stage for Careless {
 
     fn step(&mut self, input: &Message<u16>, _: &SideInputs, output: &mut Output<u16>) -> Result<(), StageError> {
         output.header = Header { flags: END_OF_STREAM, camera: input.header.camera, ..header(0) };
-        output.image(input.items.len())?.copy_from_slice(input.items);
+        output.loan(input.items.len())?.copy_from_slice(input.items);
         Ok(())
     }
 }
@@ -360,7 +360,7 @@ impl Source for Replay {
     fn next(&mut self, _: &SideInputs, output: &mut Output<AnyByte>) -> Result<Next, StageError> {
         let Some((sequence, radius)) = self.0.next() else { return Ok(Next::End) };
         output.header = header(sequence);
-        bytemuck::cast_slice_mut(output.image(1)?).copy_from_slice(bytemuck::bytes_of(&ball(radius)));
+        bytemuck::cast_slice_mut(output.loan(1)?).copy_from_slice(bytemuck::bytes_of(&ball(radius)));
         Ok(Next::Message)
     }
 }

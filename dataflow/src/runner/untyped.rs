@@ -120,8 +120,8 @@ impl<S: Stage> AnyStage for Typed<S, S::Output> {
         let input = Message { header, items: items(bytes)? };
         let mut output = Output::new(output, &mut self.list);
         self.inner.step(&input, side_inputs, &mut output)?;
-        let (made, is_image) = (output.header, output.is_image());
-        Ok(Made { header: of_same_frame(made, header), list: (!is_image).then_some(cast_slice(&self.list)) })
+        let (made, is_loaned) = (output.header, output.is_loaned());
+        Ok(Made { header: of_same_frame(made, header), list: (!is_loaned).then_some(cast_slice(&self.list)) })
     }
 
     fn finish(&mut self) -> Result<(), StageError> {
@@ -142,8 +142,8 @@ impl<S: Source> AnySource for Typed<S, S::Output> {
     fn next(&mut self, side_inputs: &SideInputs, output: UntypedOutput<'_>) -> Result<(Next, Made<'_>), StageError> {
         let mut output = Output::new(output, &mut self.list);
         let next = self.inner.next(side_inputs, &mut output)?;
-        let (header, is_image) = (output.header, output.is_image());
-        Ok((next, Made { header, list: (!is_image).then_some(cast_slice(&self.list)) }))
+        let (header, is_loaned) = (output.header, output.is_loaned());
+        Ok((next, Made { header, list: (!is_loaned).then_some(cast_slice(&self.list)) }))
     }
 
     fn finish(&mut self) -> Result<(), StageError> {

@@ -8,7 +8,7 @@ mod report;
 mod tally;
 mod variant;
 
-use super::invocation::{FileArguments, options, say};
+use super::invocation::{FileArguments, options, write_to_stderr};
 use anyhow::{Context as _, Result, bail, ensure};
 use clap::Args;
 use conicflow_dataflow::pipeline::{Pipeline, Report};
@@ -76,13 +76,15 @@ pub fn compare(arguments: &CompareArguments, log: &str) -> Result<ExitCode> {
     let how = How { frames, with_depth, keep, interrupted: termination_flag()?, options: options(log)? };
     let mut variants = Vec::new();
     for (letter, pipeline, set) in [("a", a, &arguments.a), ("b", b, &arguments.b)] {
-        say(format_args!("variant {letter}: {}", report::words(set)));
+        write_to_stderr(format_args!("variant {letter}: {}", report::words(set)));
         match Variant::run(letter, pipeline, &topic, &how)? {
             Ok(variant) => variants.push(variant),
             Err(summary) => {
-                say(format_args!("variant {letter} was disturbed, or not finished:\n{summary}"));
+                write_to_stderr(format_args!("variant {letter} was disturbed, or not finished:\n{summary}"));
                 if frames.is_none() && how.interrupted.load(Ordering::Relaxed) {
-                    say("hint: `--frames N` ends both variants by themselves, also where the sources go on for ever");
+                    write_to_stderr(
+                        "hint: `--frames N` ends both variants by themselves, also where the sources go on for ever",
+                    );
                 }
                 return Ok(ExitCode::FAILURE);
             }
@@ -121,17 +123,17 @@ fn read(arguments: &CompareArguments) -> Result<(Pipeline, Pipeline)> {
         let all = FileArguments { file: source.file.clone(), overrides: [&source.overrides[..], set].concat() };
         all.read_with(None, &[])
     };
-    let told = |letter: &str, set: &[String], error: anyhow::Error| {
+    let name_variant = |letter: &str, set: &[String], error: anyhow::Error| {
         if error.is::<Report>() {
-            say(format_args!("variant {letter}, {}:", report::words(set)));
+            write_to_stderr(format_args!("variant {letter}, {}:", report::words(set)));
         }
         error
     };
     match (read(&arguments.a), read(&arguments.b)) {
         (Ok((a, _)), Ok((b, _))) => Ok((a, b)),
         (Err(a), Err(b)) if a.to_string() == b.to_string() => Err(a),
-        (Err(a), _) => Err(told("a", &arguments.a, a)),
-        (_, Err(b)) => Err(told("b", &arguments.b, b)),
+        (Err(a), _) => Err(name_variant("a", &arguments.a, a)),
+        (_, Err(b)) => Err(name_variant("b", &arguments.b, b)),
     }
 }
 

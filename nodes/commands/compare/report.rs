@@ -227,7 +227,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_has_a_sign_is_told_with_it_though_all_differences_are_positive() {
+    fn only_signed_values_have_a_bias_in_the_table_even_if_all_differences_are_positive() {
         let difference =
             Difference { position_m: 0.002, radius_m: 0.001, axis: 0.1, half_angle: 0.1, radius_sigma: 1.5 };
         let tally = Tally { differences: vec![(ObjectKind::Cone, difference)], ..Tally::default() };

@@ -118,7 +118,7 @@ mod tests {
     use conicflow_messages::{Object, ObjectKind};
 
     #[test]
-    fn a_folder_in_place_of_a_file_is_told_before_the_start() {
+    fn a_folder_in_place_of_a_file_is_reported_before_the_start() {
         let folder = tempfile::tempdir().unwrap();
         let config = JsonSinkConfig { path: PathBuf::from(".") };
         assert!(JsonSink::faults(&config, folder.path())[0].what.contains("is a folder"));
@@ -129,7 +129,7 @@ mod tests {
 
     /// The path is relative to the pipeline file.
     #[test]
-    fn a_line_that_a_killed_process_has_written_is_not_written_again() {
+    fn a_line_that_a_killed_process_wrote_is_not_repeated() {
         let folder = tempfile::tempdir().unwrap();
         let item = ItemType::shown::<Object>();
         let write = |resume_at, frames: &[(u64, f64)]| {

@@ -171,8 +171,8 @@ impl Canvas {
     }
 
     /// Draws text with its upper left corner at `(left, top)`; characters missing in the font become question marks.
-    pub(super) fn text(&mut self, (left, top): (i64, i64), text: &str, look: (Size, bool, Colour, f64)) {
-        let (size, is_bold, colour, opacity) = look;
+    pub(super) fn text(&mut self, (left, top): (i64, i64), text: &str, style: (Size, bool, Colour, f64)) {
+        let (size, is_bold, colour, opacity) = style;
         let weight = if is_bold { FontWeight::Bold } else { FontWeight::Regular };
         let mut x = left;
         for sign in text.chars() {
@@ -306,7 +306,7 @@ mod tests {
     }
 
     #[test]
-    fn where_lines_of_a_stroke_meet_it_is_no_stronger() {
+    fn a_stroke_is_no_stronger_where_its_lines_meet() {
         let mut picture = canvas(9, 9);
         let lines = [([1.0, 4.0], [7.0, 4.0]), ([4.0, 1.0], [4.0, 7.0])];
         picture.stroke(lines.into_iter(), 1.0, WHITE, 0.5);
@@ -317,7 +317,7 @@ mod tests {
     }
 
     #[test]
-    fn endless_lines_are_clipped_and_broken_ones_not_drawn() {
+    fn very_long_lines_are_clipped_and_lines_without_finite_ends_are_not_drawn() {
         let mut picture = canvas(8, 8);
         stroke(&mut picture, &[([-1e9, 4.0], [1e9, 4.0])], 1.0);
         assert_eq!(painted(&picture, 255), (0..8).map(|x| (x, 4)).collect::<Vec<_>>());
@@ -334,7 +334,7 @@ mod tests {
     }
 
     #[test]
-    fn dashes_go_on_from_line_to_line() {
+    fn dashes_continue_from_line_to_line() {
         let lines = [([0.0, 0.0], [5.0, 0.0]), ([5.0, 0.0], [5.0, 5.0])];
         let expected = [([0.0, 0.0], [4.0, 0.0]), ([5.0, 1.0], [5.0, 5.0])];
         assert_eq!(dashes(lines.into_iter(), 4.0, 2.0), expected);
@@ -342,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn text_is_as_wide_as_it_says_and_every_sign_of_a_label_is_there() {
+    fn text_has_its_stated_width_and_every_character_of_a_label_is_drawn() {
         let mut picture = canvas(400, 30);
         let text = "#12 cylinder  98 %  r 0.50 ± 0.1 mm, 12.5°";
         picture.text((2, 3), text, LETTERING);
@@ -357,7 +357,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_shrunk_has_the_mean_of_its_pixels() {
+    fn a_shrunk_picture_has_the_mean_of_its_pixels() {
         let mut large = canvas(4, 2);
         large.fill(Box2 { left: 0, top: 0, width: 1, height: 2 }, [200; 3], 1.0);
         let mut small = canvas(3, 1);

@@ -73,10 +73,10 @@ impl DepthView {
     pub(super) fn draw_scale(&self, canvas: &mut Canvas, (right, top): (i64, i64), size: Size) -> i64 {
         let Some([near, far]) = self.range_m else { return right };
         let length = (i64::from(canvas.size().0) / 5).clamp(16, LONGEST_PX);
-        let (line, look) = (size.line(), (size, false, [228, 233, 242], 1.0));
+        let (line, style) = (size.line(), (size, false, [228, 233, 242], 1.0));
         let ends = [near, far].map(|end| format!("{end:.2} m"));
         let left = right - size.width(&ends[1]);
-        canvas.text((left, top), &ends[1], look);
+        canvas.text((left, top), &ends[1], style);
         let bar = left - size.width(" ") - length;
         for step in 0..length {
             let shade = (step * (SHADES as i64 - 1) / (length - 1)) as usize;
@@ -84,7 +84,7 @@ impl DepthView {
             canvas.fill(column, self.shades[shade], 1.0);
         }
         let begin = bar - size.width(&ends[0]) - size.width(" ");
-        canvas.text((begin, top), &ends[0], look);
+        canvas.text((begin, top), &ends[0], style);
         begin
     }
 
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn single_far_outliers_do_not_take_the_contrast() {
+    fn single_far_outliers_do_not_reduce_the_contrast() {
         let mut pixels = vec![1000, 1100];
         pixels.extend((0..200).map(|i| 1000 + i % 100));
         pixels.push(9000);
@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn the_scale_leads_from_the_near_to_the_far_colour_with_both_depths_beside_it() {
+    fn the_scale_runs_from_the_near_to_the_far_colour_and_names_both_depths() {
         let mut view = DepthView::new(Some(1.0), Some(3.0));
         painted(&mut view, &[1000]);
         let mut canvas = Canvas::default();

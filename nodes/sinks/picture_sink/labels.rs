@@ -135,7 +135,7 @@ mod tests {
     use conicflow_messages::ObjectSigma;
 
     #[test]
-    fn a_label_says_what_it_is_how_sure_and_how_large() {
+    fn a_label_has_the_kind_the_confidence_and_the_size() {
         let sigma = ObjectSigma { radius: 0.000_42, half_angle: 0.3_f64.to_radians(), ..ObjectSigma::default() };
         let can =
             Object { kind: ObjectKind::Cylinder.code(), confidence: 0.984, radius: 0.1699, sigma, ..Object::default() };
@@ -156,7 +156,7 @@ mod tests {
 
     /// Counts the pixels that are not black: overlapping labels would cover fewer.
     #[test]
-    fn labels_of_what_stands_close_together_do_not_overlap_and_stay_inside() {
+    fn labels_of_close_objects_do_not_overlap_and_stay_inside() {
         let at = |left: i64, top: i64| Box2 { left, top, width: 30, height: 30 };
         let room = Box2 { left: 0, top: 0, width: 400, height: 300 };
         let painted = |arounds: &[Box2]| {

@@ -200,7 +200,7 @@ impl<T: Drawn> PictureSink<T> {
             return Ok(None);
         }
         self.draw(input, depth, ellipses)?;
-        self.look_for_another_camera(input.header);
+        self.warn_of_another_camera(input.header);
         if let Some(moving) = &mut self.moving {
             moving.add(self.painter.canvas(), input.header.stamp_ns);
         }
@@ -264,7 +264,7 @@ impl<T: Drawn> PictureSink<T> {
     }
 
     /// Warns once if pictures of several cameras may overwrite each other.
-    fn look_for_another_camera(&mut self, header: &Header) {
+    fn warn_of_another_camera(&mut self, header: &Header) {
         let camera = header.origin();
         if self.names != Names::Stage && self.camera.is_some_and(|other| other != camera) && !self.is_reported {
             self.is_reported = true;

@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn it_shows_what_moves_and_leaves_noise_alone() {
+    fn changes_are_drawn_and_noise_is_ignored() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("moving.png");
         let mut moving = Moving::new(path.clone(), 100);
@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_as_wide_as_asked_for_and_of_pictures_of_one_size() {
+    fn a_moving_picture_has_the_requested_width_and_pictures_of_one_size() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("moving.png");
         let mut moving = Moving::new(path.clone(), 4);
@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn of_more_colours_than_there_is_room_for_the_most_frequent_are_kept() {
+    fn of_too_many_colours_the_most_frequent_are_kept() {
         let mut moving = Moving::new(PathBuf::new(), 10);
         let all: Vec<u16> = (0..400).chain(100..355).collect();
         moving.pictures.push((all, 0));
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn a_colour_that_the_palette_lacks_is_its_nearest() {
+    fn a_colour_outside_the_palette_becomes_the_nearest_in_it() {
         let (dark, light) = (coded(&[10; 3]), coded(&[200; 3]));
         let brown = coded(&[60, 40, 40]);
         let number = number_of(&[dark, light, brown], &[light, dark]);

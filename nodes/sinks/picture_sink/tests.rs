@@ -89,14 +89,14 @@ fn without_depth_the_ground_is_black_and_an_empty_list_is_a_picture() {
 }
 
 #[test]
-fn the_legend_takes_the_lowest_lines_and_tells_the_frame() {
+fn the_legend_takes_the_lowest_lines_and_names_the_frame() {
     let picture = picture::<Object>(&[], Config::default(), &SideInputs::default());
     let rows: Vec<_> = (0..120).filter(|row| picture[row * 160..][..160].iter().any(|pixel| pixel[0] > 200)).collect();
     assert!(rows.first().is_some_and(|row| *row >= 104) && rows.len() > 8, "{rows:?}");
 }
 
 #[test]
-fn what_is_surer_looks_surer() {
+fn more_confident_objects_are_drawn_more_strongly() {
     let of = |confidence| picture(&[Object { confidence, ..sphere() }], plain(), &SideInputs::default());
     let (sure, vague, unsaid) = (of(1.0), of(0.3), of(0.0));
     assert_eq!(strength(&sure), 255);
@@ -105,7 +105,7 @@ fn what_is_surer_looks_surer() {
 }
 
 #[test]
-fn tracks_have_the_colour_of_their_number_and_the_look_of_their_state() {
+fn the_colour_of_a_track_shows_its_number_and_its_stroke_the_state() {
     let track = |id, state: TrackState| Track { id, state: state.code(), object: sphere(), ..Track::default() };
     let drawn = |id, state| {
         let picture = picture(&[track(id, state)], plain(), &SideInputs::default());
@@ -123,7 +123,7 @@ fn tracks_have_the_colour_of_their_number_and_the_look_of_their_state() {
 }
 
 #[test]
-fn a_picture_is_as_many_times_as_large_as_asked_for() {
+fn a_picture_is_enlarged_by_the_requested_factor() {
     let folder = tempfile::tempdir().unwrap();
     let mut sink = sink::<Object>(&folder, Config { zoom: 3, ..plain() });
     let header = header(0, "");
@@ -144,7 +144,7 @@ fn a_picture_is_as_many_times_as_large_as_asked_for() {
 }
 
 #[test]
-fn contact_sheets_hold_so_many_pictures_each_and_the_last_one_the_rest() {
+fn each_contact_sheet_holds_a_fixed_number_of_pictures_and_the_last_one_the_rest() {
     let folder = tempfile::tempdir().unwrap();
     let mut sink = sink::<Object>(&folder, Config { sheet: 4, ..plain() });
     for sequence in 0..5 {
@@ -175,7 +175,7 @@ fn ellipses_can_be_the_driving_input() {
 }
 
 #[test]
-fn an_ellipse_that_is_nowhere_near_has_its_arc_and_no_centre() {
+fn an_ellipse_whose_centre_is_far_off_is_drawn_as_an_arc_without_centre() {
     let far = Ellipse { line: 20, first: 30, last: 50, center: [0.0, 1e15, 1.0], ..Ellipse::default() };
     let picture = picture(&[far], Config::default(), &SideInputs::default());
     assert!(picture.contains(&[240, 215, 90]) && !picture.contains(&[235, 90, 200]));
@@ -189,7 +189,7 @@ fn depth_of_another_size_is_left_out() {
 }
 
 #[test]
-fn every_so_many_messages_and_going_on_after_a_restart() {
+fn every_nth_message_is_drawn_also_after_a_restart() {
     let folder = tempfile::tempdir().unwrap();
     let mut sink = sink::<Object>(&folder, Config { every: 3, ..Config::default() });
     let mut written = |sequence| {
@@ -217,7 +217,7 @@ fn names_after_the_source_stay_in_the_folder() {
 }
 
 #[test]
-fn sizes_that_cannot_be_and_folders_that_cannot_be_made_are_told() {
+fn impossible_sizes_and_folders_are_reported() {
     let folder = tempfile::tempdir().unwrap();
     let camera = Camera { width: u32::MAX, height: u32::MAX, ..CAMERA };
     let input = Message { header: &Header { camera, ..header(7, "") }, items: &[] };
@@ -231,7 +231,7 @@ fn sizes_that_cannot_be_and_folders_that_cannot_be_made_are_told() {
 }
 
 #[test]
-fn faults_of_the_parameters() {
+fn faults_of_the_parameters_are_reported() {
     let faults = |config: &Config| PictureSink::<Object>::faults(config, Path::new(""));
     let keys = |config: Config| faults(&config).iter().map(|fault| fault.key).collect::<Vec<_>>();
     assert_eq!(keys(Config::default()), ["path"]);
@@ -242,7 +242,7 @@ fn faults_of_the_parameters() {
 }
 
 #[test]
-fn pictures_that_may_overwrite_each_other_are_told() {
+fn pictures_that_may_overwrite_each_other_are_reported() {
     for (names, is_reported) in [(Names::Sequence, true), (Names::Source, true), (Names::Stage, false)] {
         let folder = tempfile::tempdir().unwrap();
         let mut sink = sink::<Object>(&folder, Config { names, ..Config::default() });

@@ -112,7 +112,7 @@ mod tests {
     use png::Encoder;
 
     #[test]
-    fn pixels_come_back_in_native_order() {
+    fn pixels_are_decoded_in_native_byte_order() {
         let pixels: Vec<u16> = (0..12).map(|i| i * 0x0123 + 1).collect();
         let mut decoded = vec![0; 12];
         decode(&png16(4, 3, &pixels), (4, 3), &mut decoded).unwrap();
@@ -120,21 +120,22 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_depth_image_is_told() {
-        let told = |file: &[u8], size| format!("{:#}", decode(file, size, &mut [0; 12]).unwrap_err());
+    fn an_image_without_depths_is_refused() {
+        let error = |file: &[u8], size| format!("{:#}", decode(file, size, &mut [0; 12]).unwrap_err());
         let good = png16(4, 3, &(0..12).map(|i| i * 4001).collect::<Vec<_>>());
         let rgb = png_bytes(4, 3, ColorType::Rgb, BitDepth::Eight, &[9; 36]);
         assert!(
-            told(&rgb, (4, 3)).starts_with("this is no depth image (8-bit colour PNG), expected 16-bit grey\n  hint: ")
+            error(&rgb, (4, 3))
+                .starts_with("this is no depth image (8-bit colour PNG), expected 16-bit grey\n  hint: ")
         );
-        assert_eq!(told(&good, (4, 2)), "4x3 pixels, expected 4x2");
-        assert!(told(&good[..good.len() - 20], (4, 3)).starts_with("the pixels of the PNG: "));
-        assert!(told(&good[..20], (4, 3)).starts_with("the header of the PNG: "));
-        assert!(told(b"no PNG at all", (4, 3)).starts_with("the header of the PNG: "));
+        assert_eq!(error(&good, (4, 2)), "4x3 pixels, expected 4x2");
+        assert!(error(&good[..good.len() - 20], (4, 3)).starts_with("the pixels of the PNG: "));
+        assert!(error(&good[..20], (4, 3)).starts_with("the header of the PNG: "));
+        assert!(error(b"no PNG at all", (4, 3)).starts_with("the header of the PNG: "));
     }
 
     #[test]
-    fn what_has_several_frames_is_refused() {
+    fn an_animated_png_is_refused() {
         let mut file = Vec::new();
         let mut encoder = Encoder::new(&mut file, 4, 3);
         encoder.set_color(ColorType::Grayscale);
@@ -143,12 +144,12 @@ mod tests {
         let mut writer = encoder.write_header().unwrap();
         (0..2).for_each(|_| writer.write_image_data(&[7; 24]).unwrap());
         writer.finish().unwrap();
-        let told = format!("{:#}", decode(&file, (4, 3), &mut [0; 12]).unwrap_err());
-        assert_eq!(told, "it has 2 frames, of which one would be read\n  hint: write a file for each frame");
+        let error = format!("{:#}", decode(&file, (4, 3), &mut [0; 12]).unwrap_err());
+        assert_eq!(error, "it has 2 frames, of which one would be read\n  hint: write a file for each frame");
     }
 
     #[test]
-    fn a_size_that_cannot_be_is_refused_from_the_header() {
+    fn an_impossible_size_is_refused_from_the_header() {
         let mut file = png16(4, 3, &[1; 12]);
         file[16..24].copy_from_slice(&[0, 0, 0x40, 0, 0, 0, 0x40, 0]);
         let check = crc32(&file[12..29]);

@@ -213,13 +213,13 @@ mod tests {
         CameraFile::find(&folder)
     }
 
-    fn told(text: &str) -> String {
+    fn error_of(text: &str) -> String {
         let error = format!("{:#}", found("camera.json", text).unwrap_err());
         error.split_once("camera.json`: ").unwrap().1.to_owned()
     }
 
     #[test]
-    fn what_would_change_the_camera_were_it_read_is_refused_and_notes_are_not() {
+    fn keys_that_would_change_the_camera_are_refused_and_notes_are_ignored() {
         let with = |entry: &str| MINE.replace('}', &format!(", {entry}}}"));
         for (entry, expected) in [
             (r#""depthScale": 0.001"#, "the key `depthScale` is not read, expected `depth_scale`"),
@@ -231,8 +231,8 @@ mod tests {
             (r#""radial_distortion": [0.1]"#, "the images are distorted"),
             (r#""k1": -0.1, "k2": 0.0"#, "the images are distorted (`k1`: -0.1)"),
         ] {
-            let told = told(&with(entry));
-            assert!(told.starts_with(expected), "{entry}: {told}");
+            let error = error_of(&with(entry));
+            assert!(error.starts_with(expected), "{entry}: {error}");
         }
         for entry in [r#""note": "by hand", "serial": 7"#, r#""distortion": [0, 0.0], "distortion_model": "none""#] {
             assert_eq!(found("camera.json", &with(entry)).unwrap().unwrap().intrinsics, EXPECTED, "{entry}");
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn both_layouts_under_each_name() {
+    fn both_layouts_are_read_under_each_file_name() {
         for name in NAMES {
             let mine = found(name, MINE).unwrap().unwrap();
             assert_eq!((mine.intrinsics, mine.size, mine.depth_scale), (EXPECTED, Some((64, 48)), Some(0.0002)));
@@ -251,16 +251,16 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_cannot_be_read_is_told_and_none_is_read_in_its_place() {
+    fn an_unreadable_file_is_reported_and_no_other_is_read_in_its_place() {
         let frames = tempfile::tempdir().unwrap();
         fs::write(frames.path().join("camera_intrinsics.json"), OPEN3D).unwrap();
         std::os::unix::fs::symlink("nowhere", frames.path().join("camera.json")).unwrap();
-        let told = format!("{:#}", CameraFile::find(frames.path()).unwrap_err());
-        assert!(told.contains("camera.json`: it is no file, or a link to nothing\n  hint: "), "{told}");
+        let error = format!("{:#}", CameraFile::find(frames.path()).unwrap_err());
+        assert!(error.contains("camera.json`: it is no file, or a link to nothing\n  hint: "), "{error}");
     }
 
     #[test]
-    fn the_folder_above_is_looked_at_last() {
+    fn the_parent_folder_is_searched_last() {
         let parent = tempfile::tempdir().unwrap();
         let frames = parent.path().join("depth");
         fs::create_dir(&frames).unwrap();
@@ -271,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn another_file_in_the_folder_is_told_of_where_it_tells_of_another_camera() {
+    fn a_second_file_in_the_folder_is_reported_if_it_describes_another_camera() {
         let folder = tempfile::tempdir().unwrap();
         let another = |open3d: &str| {
             fs::write(folder.path().join("camera_intrinsics.json"), open3d).unwrap();
@@ -285,15 +285,17 @@ mod tests {
     }
 
     #[test]
-    fn faults_are_told() {
-        assert!(told("{\n oops").contains("line 2"));
-        assert!(told(&MINE.replace("\"fy\": 52.0, ", "")).starts_with("the key `fy` is missing\n  hint: write `{"));
-        assert!(told(&MINE.replace("52.0", "0")).starts_with("focal lengths are 1 to 1,000,000 pixels"));
-        assert!(told(&MINE.replace("0.0002", "-1")).starts_with("`depth_scale` is -1.0, expected 1e-9 to 1\n"));
-        assert!(told(r#"{"intrinsic_matrix": [1, 2]}"#).starts_with("`intrinsic_matrix` has 2 numbers, expected 9\n"));
+    fn faults_are_reported() {
+        assert!(error_of("{\n oops").contains("line 2"));
+        assert!(error_of(&MINE.replace("\"fy\": 52.0, ", "")).starts_with("the key `fy` is missing\n  hint: write `{"));
+        assert!(error_of(&MINE.replace("52.0", "0")).starts_with("focal lengths are 1 to 1,000,000 pixels"));
+        assert!(error_of(&MINE.replace("0.0002", "-1")).starts_with("`depth_scale` is -1.0, expected 1e-9 to 1\n"));
+        assert!(
+            error_of(r#"{"intrinsic_matrix": [1, 2]}"#).starts_with("`intrinsic_matrix` has 2 numbers, expected 9\n")
+        );
         let long = format!("{MINE}{}", " ".repeat(MAX_JSON_BYTES as usize));
-        assert!(told(&long).starts_with("it is longer than 1048576 bytes\n  hint: "));
-        let rows = told(r#"{"intrinsic_matrix": [52.5, 0, 31.5, 0, 52, 23.5, 0, 0, 1]}"#);
+        assert!(error_of(&long).starts_with("it is longer than 1048576 bytes\n  hint: "));
+        let rows = error_of(r#"{"intrinsic_matrix": [52.5, 0, 31.5, 0, 52, 23.5, 0, 0, 1]}"#);
         assert_eq!(
             rows,
             "`intrinsic_matrix` is row-major, expected column-major\n  hint: write [52.5, 0, 0, 0, 52, 0, 31.5, 23.5, 1]"

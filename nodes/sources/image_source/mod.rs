@@ -58,12 +58,12 @@ impl Source for ImageSource {
 
     fn new(config: Config, context: &Context) -> Result<Self, StageError> {
         let counted = context.counted.get(UNREADABLE).copied().unwrap_or(0);
-        let mut told = Instant::now();
+        let mut last_logged = Instant::now();
         let mut progress = |seen: usize, all: usize| {
             // The call shows the launcher that the stage is alive.
             context.stop.requested();
-            if told.elapsed() > TELL {
-                told = Instant::now();
+            if last_logged.elapsed() > TELL {
+                last_logged = Instant::now();
                 tracing::info!("looked at {seen} of {all} files of the recording");
             }
         };
@@ -90,8 +90,8 @@ impl Source for ImageSource {
 
     fn next(&mut self, _: &SideInputs, output: &mut Output<u16>) -> Result<Next, StageError> {
         while let Some(loaded) = self.0.load().map_err(stage_error)? {
-            let place = output.image(loaded.pixels())?;
-            let header = self.0.decode(&loaded, place).map_err(stage_error)?;
+            let pixels = output.loan(loaded.pixels())?;
+            let header = self.0.decode(&loaded, pixels).map_err(stage_error)?;
             output.count_all(self.0.take_counts());
             if let Some(header) = header {
                 output.header = header;

@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn axes_that_point_the_other_way_are_seen() {
+    fn reversed_axes_are_recognised() {
         let turned: Vec<_> = points(&depth_m()).iter().map(|[x, y, z]| [*x, -y, -z]).collect();
         let pinhole = fit_all(&turned).unwrap();
         assert!(close(&pinhole.camera, &CAMERA, 1e-3), "{pinhole:?}");
@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn what_no_pinhole_camera_saw_is_refused() {
+    fn points_that_no_pinhole_camera_can_see_are_refused() {
         let world: Vec<_> = points(&depth_m()).iter().map(|[x, y, z]| [*z, -x, -y + 0.5 * z]).collect();
         let error = fit_all(&world).unwrap_err().to_string();
         assert!(error.starts_with("the cloud is no image of a pinhole camera: "), "{error}");

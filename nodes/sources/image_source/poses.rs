@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn a_time_between_two_is_interpolated_and_one_beside_them_is_the_nearest() {
+    fn a_pose_between_two_times_is_interpolated_and_one_outside_is_the_nearest() {
         let poses = [(1_000_000_000, pose(0.0, 0.0)), (1_010_000_000, pose(0.1, 0.2)), (2_000_000_000, pose(5.0, 1.0))];
         let x = |stamp_ns| at_time(&poses, stamp_ns).map(|pose| (pose.translation.x, pose.rotation.angle()));
         let (place, angle) = x(1_002_500_000).unwrap();
@@ -269,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn names_belong_together_by_what_stands_before_the_first_dot() {
+    fn names_are_matched_by_the_part_before_the_first_dot() {
         for name in
             ["frame-000012.depth.png", "frame-000012.pose.txt", "frame-000012-depth.png", "frame-000012_depth.png"]
         {

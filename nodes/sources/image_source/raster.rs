@@ -174,12 +174,12 @@ mod tests {
         Ok((frame.depth_scale, pixels))
     }
 
-    fn told(files: &[(&str, Vec<u8>)]) -> String {
+    fn error_of(files: &[(&str, Vec<u8>)]) -> String {
         format!("{:#}", recorded(files, None).unwrap_err())
     }
 
     #[test]
-    fn whole_numbers_are_units_as_in_a_png() {
+    fn whole_numbers_are_depth_units_as_in_a_png() {
         let expected = units(&depth_m(), 0.001);
         let bytes = |to: fn(u16) -> [u8; 2]| expected.iter().flat_map(|unit| to(*unit)).collect::<Vec<u8>>();
         let shape = format!("({}, {})", SIZE.1, SIZE.0);
@@ -216,20 +216,21 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_depth_image_is_refused_with_what_it_is() {
+    fn an_image_without_depths_is_refused_with_its_description() {
         let colour = vec![7_u8; 3 * (SIZE.0 * SIZE.1) as usize];
-        let told_of_colour = told(&[("1.tiff", tiff::<colortype::RGB8>(&colour, Compression::Uncompressed))]);
-        assert!(told_of_colour.contains("no depth image (RGB(8))"), "{told_of_colour}");
+        let colour_error = error_of(&[("1.tiff", tiff::<colortype::RGB8>(&colour, Compression::Uncompressed))]);
+        assert!(colour_error.contains("no depth image (RGB(8))"), "{colour_error}");
         let page = vec![7_u16; (SIZE.0 * SIZE.1) as usize];
         let mut two_pages = Cursor::new(Vec::new());
         let mut encoder = TiffEncoder::new(&mut two_pages).unwrap();
         (0..2).for_each(|_| encoder.write_image::<colortype::Gray16>(SIZE.0, SIZE.1, &page).unwrap());
-        let told_of_pages = told(&[("1.tiff", two_pages.into_inner())]);
-        assert!(told_of_pages.contains("a TIFF of several pages, expected one depth image"), "{told_of_pages}");
+        let pages_error = error_of(&[("1.tiff", two_pages.into_inner())]);
+        assert!(pages_error.contains("a TIFF of several pages, expected one depth image"), "{pages_error}");
         let wide = vec![7_u32; (SIZE.0 * SIZE.1) as usize];
-        let told_of_wide = told(&[("1.tiff", tiff::<colortype::Gray32>(&wide, Compression::Uncompressed))]);
-        assert!(told_of_wide.contains("numbers of another kind"), "{told_of_wide}");
-        let array = |number: &str, order: &str, shape: &str| told(&[("1.npy", npy(number, order, shape, &[0; 64]))]);
+        let wide_error = error_of(&[("1.tiff", tiff::<colortype::Gray32>(&wide, Compression::Uncompressed))]);
+        assert!(wide_error.contains("numbers of another kind"), "{wide_error}");
+        let array =
+            |number: &str, order: &str, shape: &str| error_of(&[("1.npy", npy(number, order, shape, &[0; 64]))]);
         assert!(array("<u2", "False", "(2, 4, 4)").contains("shape [2, 4, 4], expected rows and columns\n  hint: "));
         assert!(
             array("<i8", "False", "(2, 4)")
@@ -242,15 +243,15 @@ mod tests {
         assert!(array("<u2", "False", "(18446744073709551616, 4)").contains("the header of the NPY file: it is `{"));
         assert!(array("<u2", "Maybe", "(2, 4)").contains("the header of the NPY file: it is `{"));
         let long = [b"\x93NUMPY\x02\x00", &u32::MAX.to_le_bytes()[..], b"{"].concat();
-        assert!(told(&[("1.npy", long)]).contains("it has 4294967295 bytes, expected at most 10000"));
-        assert!(told(&[("1.npy", b"no array".to_vec())]).contains("the header of the NPY file"));
-        assert!(told(&[("1.tif", b"no image".to_vec())]).contains("the header of the TIFF"));
+        assert!(error_of(&[("1.npy", long)]).contains("it has 4294967295 bytes, expected at most 10000"));
+        assert!(error_of(&[("1.npy", b"no array".to_vec())]).contains("the header of the NPY file"));
+        assert!(error_of(&[("1.tif", b"no image".to_vec())]).contains("the header of the TIFF"));
     }
 
     #[test]
     fn frames_of_two_kinds_are_not_one_recording() {
         let unit = npy("<u2", "False", "(2, 4)", &[0; 16]);
-        let both = told(&[("1.npy", unit.clone()), ("2.tiff", unit)]);
+        let both = error_of(&[("1.npy", unit.clone()), ("2.tiff", unit)]);
         assert!(both.contains("holds TIFF files and NPY files, expected one kind\n  hint: "), "{both}");
     }
 }

@@ -35,8 +35,8 @@ pub struct Recording {
     /// Depth units per unit of the cloud's z, with its sign, or of depths in floating point.
     units_per_z: f64,
     /// Whether it was already logged that the clouds' axes are flipped, and that their residual from a pinhole camera is large.
-    told_flipped: bool,
-    told_residual: bool,
+    reported_flipped: bool,
+    reported_residual: bool,
 }
 
 /// A frame whose file is loaded, and whose pixels can be decoded.
@@ -79,8 +79,8 @@ impl Recording {
         let beside = CameraFile::find(&layout.folder)?;
         let camera = camera(&layout, size, config, beside.as_ref())?;
         let by_file = beside.and_then(|file| file.depth_scale).filter(|_| layout.format != Format::Pcd);
-        let told = config.depth_scale.or(by_file);
-        let depth_scale = told.unwrap_or(layout.depth_scale);
+        let given_scale = config.depth_scale.or(by_file);
+        let depth_scale = given_scale.unwrap_or(layout.depth_scale);
         ensure!(
             DEPTH_SCALES_M.contains(&depth_scale),
             Hinted::new(
@@ -99,10 +99,10 @@ impl Recording {
             is_read: false,
             cloud: Cloud::default(),
             raster: Depths::Units(Vec::new()),
-            metres_per_number: told.unwrap_or(1.0),
+            metres_per_number: given_scale.unwrap_or(1.0),
             units_per_z: 1.0,
-            told_flipped: false,
-            told_residual: false,
+            reported_flipped: false,
+            reported_residual: false,
         })
     }
 
@@ -214,7 +214,7 @@ impl Recording {
             Some(camera) => (camera, pinhole::looks_backward(self.cloud.depths().iter().copied())),
             None => {
                 let pinhole = pinhole::fit(width, height, self.cloud.points())?;
-                self.tell(name, &pinhole);
+                self.report_fit(name, &pinhole);
                 (pinhole.camera, pinhole.flipped[2])
             }
         };
@@ -225,15 +225,15 @@ impl Recording {
     }
 
     /// Logs once that a cloud has flipped axes, or a large residual.
-    fn tell(&mut self, name: &str, pinhole: &Pinhole) {
+    fn report_fit(&mut self, name: &str, pinhole: &Pinhole) {
         let axes = ["x points left", "y points up", "z points backward"];
         let flipped: Vec<_> =
             axes.into_iter().zip(pinhole.flipped).filter_map(|(axis, is)| is.then_some(axis)).collect();
-        if !flipped.is_empty() && !std::mem::replace(&mut self.told_flipped, true) {
+        if !flipped.is_empty() && !std::mem::replace(&mut self.reported_flipped, true) {
             let axes = flipped.join(", ");
             tracing::warn!("`{name}`: {axes}; turned into the optical frame: x right, y down, z forward");
         }
-        if pinhole.residual_px > FAIR_RESIDUAL_PX && !std::mem::replace(&mut self.told_residual, true) {
+        if pinhole.residual_px > FAIR_RESIDUAL_PX && !std::mem::replace(&mut self.reported_residual, true) {
             let residual = pinhole.residual_px;
             tracing::warn!(
                 "`{name}`: points lie {residual:.2} pixels (rms) beside a pinhole camera's: rounded or distorted"

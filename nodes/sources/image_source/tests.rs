@@ -63,7 +63,7 @@ impl Folder {
         Recording::open(&self.path, &Config { first, frames, intrinsics: Some(GIVEN), ..Config::default() })
     }
 
-    fn told(&self) -> String {
+    fn open_error(&self) -> String {
         format!("{:#}", self.open().err().unwrap()).replace(&format!("{}/", self.path.display()), "")
     }
 }
@@ -80,7 +80,7 @@ fn pixels(recording: &mut Recording, index: usize) -> Vec<u16> {
 }
 
 #[test]
-fn a_folder_of_pngs_in_natural_order() {
+fn a_folder_of_pngs_is_read_in_natural_order() {
     let ordered = [
         "img1.PNG",
         "img02.png",
@@ -110,7 +110,7 @@ fn colour_images_and_other_16_bit_images_are_passed_over() {
 }
 
 #[test]
-fn a_folder_with_a_depth_folder_or_that_folder_itself() {
+fn a_folder_with_a_depth_folder_and_that_folder_itself_are_read() {
     let folder = Folder::new()
         .depth(&["depth/0.png", "depth/1.png"])
         .colour(&["rgb.png"])
@@ -123,7 +123,7 @@ fn a_folder_with_a_depth_folder_or_that_folder_itself() {
 }
 
 #[test]
-fn a_single_file() {
+fn a_single_file_is_read() {
     let folder = Folder::new().depth(&["a.png", "b.png"]);
     let config = Config { intrinsics: Some(GIVEN), ..Config::default() };
     let mut recording = Recording::open(&folder.at("b.png"), &config).unwrap();
@@ -138,7 +138,7 @@ fn a_single_file() {
 }
 
 #[test]
-fn tum_folders_bring_their_stamps_and_scale() {
+fn tum_folders_have_their_stamps_and_scale() {
     let list =
         "# depth maps\n1305031102.160407 depth/b.png\n1305031102.194330 depth/a.png\n1305031102.3 depth/gone.png\n";
     let folder = Folder::new().depth(&["depth/a.png", "depth/b.png"]).file("depth.txt", list);
@@ -168,7 +168,7 @@ fn scale_and_intrinsics_come_from_the_nearest_authority() {
 }
 
 #[test]
-fn clouds_bring_their_camera_and_keep_their_depth() {
+fn clouds_have_their_camera_and_keep_their_depth() {
     let expected = depth_m();
     let folder = Folder::new().cloud("a.pcd", &points(&expected)).colour(&["a.png"]);
     let mut recording = folder.open().unwrap();
@@ -179,7 +179,7 @@ fn clouds_bring_their_camera_and_keep_their_depth() {
 }
 
 #[test]
-fn clouds_that_reach_far_turned_clouds_and_clouds_in_millimetres() {
+fn far_and_turned_clouds_and_clouds_in_millimetres_are_read() {
     let far: Vec<_> = depth_m().iter().map(|z| z * 4.0).collect();
     let turned: Vec<_> = points(&depth_m()).iter().map(|[x, y, z]| [*x, -y, -z]).collect();
     let folder = Folder::new().cloud("a.pcd", &points(&far)).cloud("b.pcd", &turned);
@@ -208,7 +208,7 @@ fn depths_that_cannot_be_sent_hold_no_measurement() {
 }
 
 #[test]
-fn clouds_in_millimetres_are_told() {
+fn pixels_of_clouds_in_millimetres_count_as_too_far() {
     let points: Vec<_> = points(&depth_m()).iter().map(|point| point.map(|x| x * 1000.0)).collect();
     let folder = Folder::new().cloud("a.pcd", &points);
     let mut source = source(&folder, Config::default(), 0);
@@ -232,13 +232,13 @@ fn unreadable_frames_leave_a_gap_in_time() {
     assert!(reasons[0].contains("a2.pcd`: the cloud is not organised as an image: WIDTH 1728, HEIGHT 1\n  hint: "));
     assert!(reasons[1].contains("a4.pcd`: the header ends in line 1"));
     let only = Folder::new().file("a.pcd", &flat);
-    assert!(only.told().starts_with("none of the 1 frames in"));
+    assert!(only.open_error().starts_with("none of the 1 frames in"));
     let error = format!("{:#}", Recording::open(&only.at("a.pcd"), &Config::default()).err().unwrap());
     assert!(error.contains("a.pcd`: the cloud is not organised"), "{error}");
 }
 
 #[test]
-fn a_frame_that_turns_out_damaged_is_told_and_the_next_one_is_read() {
+fn a_damaged_frame_is_reported_and_the_next_one_is_read() {
     let mut damaged = png16(48, 36, &units(&depth_m(), 0.001));
     damaged.truncate(damaged.len() / 2);
     let folder = Folder::new().file("a.png", damaged).depth(&["b.png"]);
@@ -252,29 +252,33 @@ fn a_frame_that_turns_out_damaged_is_told_and_the_next_one_is_read() {
 }
 
 #[test]
-fn what_cannot_be_opened_is_told_with_what_to_do() {
-    assert!(Folder::new().depth(&["a.png"]).told().starts_with("no intrinsics for the frames in `"));
+fn recordings_that_cannot_be_opened_are_reported_with_a_hint() {
+    assert!(Folder::new().depth(&["a.png"]).open_error().starts_with("no intrinsics for the frames in `"));
     let colour = Folder::new().colour(&["a.png"]).file("b.jpg", "");
     assert!(
-        colour.told().contains("only other images and files: 1 of 8-bit colour PNG, 1 of JPEG\n"),
+        colour.open_error().contains("only other images and files: 1 of 8-bit colour PNG, 1 of JPEG\n"),
         "{}",
-        colour.told()
+        colour.open_error()
     );
     let grey = Folder::new().file("a.png", png_bytes(4, 3, png::ColorType::Grayscale, png::BitDepth::Eight, &[9; 12]));
-    assert!(grey.told().contains("only other images and files: 1 of 8-bit grey PNG\n"), "{}", grey.told());
+    assert!(grey.open_error().contains("only other images and files: 1 of 8-bit grey PNG\n"), "{}", grey.open_error());
     let others = Folder::new().file("a.pfm", "").file("b.pfm", "").file("README", "");
-    assert!(others.told().contains("only other images and files: 2 of `.pfm`, 1 of no ending\n"), "{}", others.told());
-    assert!(Folder::new().told().contains("`, and no other files\n  hint: depth frames are "));
+    assert!(
+        others.open_error().contains("only other images and files: 2 of `.pfm`, 1 of no ending\n"),
+        "{}",
+        others.open_error()
+    );
+    assert!(Folder::new().open_error().contains("`, and no other files\n  hint: depth frames are "));
     let both = Folder::new().depth(&["a.png"]).cloud("a.pcd", &points(&depth_m()));
-    assert!(both.told().contains("holds 16-bit PNGs and PCD files, expected one kind\n  hint: "));
+    assert!(both.open_error().contains("holds 16-bit PNGs and PCD files, expected one kind\n  hint: "));
     let sizes = Folder::new().depth(&["a.png"]).file("b.png", png16(4, 3, &[1; 12]));
     assert!(
-        sizes.told().starts_with("`b.png` is 4x3, but the frames before it are 48x36\n  hint: "),
+        sizes.open_error().starts_with("`b.png` is 4x3, but the frames before it are 48x36\n  hint: "),
         "{}",
-        sizes.told()
+        sizes.open_error()
     );
     let list = Folder::new().file("depth.txt", "1.0");
-    assert!(list.told().starts_with("`depth.txt`: line 1, `1.0`: expected"), "{}", list.told());
+    assert!(list.open_error().starts_with("`depth.txt`: line 1, `1.0`: expected"), "{}", list.open_error());
     let error = format!("{:#}", Recording::open(Path::new("/no/such/place"), &Config::default()).err().unwrap());
     assert!(
         error.starts_with("`/no/such/place` cannot be opened: No such file") && error.contains("\n  hint: "),
@@ -282,11 +286,13 @@ fn what_cannot_be_opened_is_told_with_what_to_do() {
     );
     let json = r#"{"width": 640, "height": 480, "fx": 40, "fy": 41, "cx": 22.25, "cy": 18.5}"#;
     let other = Folder::new().depth(&["a.png"]).file("camera.json", json);
-    assert!(other.told().starts_with("`camera.json` is for images of 640x480, but the frames are 48x36\n  hint: "));
+    assert!(
+        other.open_error().starts_with("`camera.json` is for images of 640x480, but the frames are 48x36\n  hint: ")
+    );
 }
 
 #[test]
-fn a_part_of_the_recording() {
+fn a_part_of_the_recording_is_played() {
     let folder = Folder::new().depth(&["0.png", "1.png", "2.png", "3.png"]);
     assert_eq!(names(&mut folder.part(1, Some(2)).unwrap()), ["1.png", "2.png"]);
     assert_eq!(folder.part(1, Some(2)).unwrap().load(0).unwrap().slot, 0);
@@ -304,8 +310,8 @@ fn a_part_of_the_recording_counts_unreadable_frames_and_forgets_those_outside() 
     let mut middle = folder.part(1, Some(3)).unwrap();
     assert_eq!(names(&mut middle), ["1.png", "3.png"]);
     assert_eq!((middle.unreadable().len(), middle.slots()), (1, 3));
-    let told = folder.part(5, None).err().unwrap().to_string();
-    assert_eq!(told, "none of the frames from number 5 can be read\n  hint: `first` and `frames` choose others");
+    let error = folder.part(5, None).err().unwrap().to_string();
+    assert_eq!(error, "none of the frames from number 5 can be read\n  hint: `first` and `frames` choose others");
 }
 
 #[test]
@@ -359,7 +365,7 @@ fn a_restart_counts_the_frames_that_were_passed_over() {
 }
 
 #[test]
-fn frames_that_were_there_at_the_beginning_and_are_not_when_their_turn_comes_are_told_at_the_end() {
+fn frames_that_disappear_during_playback_are_reported_at_the_end() {
     let mut damaged = png16(48, 36, &units(&depth_m(), 0.001));
     damaged.truncate(damaged.len() / 2);
     let names = ["0.png", "2.png", "3.png", "4.png", "5.png"];
@@ -375,43 +381,43 @@ fn frames_that_were_there_at_the_beginning_and_are_not_when_their_turn_comes_are
         (sent, playback.finish().map_err(|error| error.to_string()))
     };
     assert_eq!(play(|_| ()), (5, Ok(())), "one was damaged from the beginning");
-    let (sent, told) = play(|folder| {
+    let (sent, finished) = play(|folder| {
         fs::write(folder.at("3.png"), "no PNG any more").unwrap();
         let later = SystemTime::now() + Duration::from_secs(1);
         fs::File::options().write(true).open(folder.at("3.png")).unwrap().set_modified(later).unwrap();
         fs::remove_file(folder.at("4.png")).unwrap();
     });
-    let told = told.unwrap_err();
+    let error = finished.unwrap_err();
     let expected = "2 of 6 frames could not be read any more when their turn came, 3 were: `";
     assert!(
-        sent == 3 && told.starts_with(expected) && told.contains("3.png`") && told.contains("\n  hint: "),
-        "{told}"
+        sent == 3 && error.starts_with(expected) && error.contains("3.png`") && error.contains("\n  hint: "),
+        "{error}"
     );
 }
 
 #[test]
-fn the_look_at_the_files_tells_how_far_it_is() {
+fn the_survey_of_the_files_reports_its_progress() {
     let folder =
         Folder::new().depth(&["0.png", "1.png"]).file("0.pose.txt", matrix(0.0)).file("1.pose.txt", matrix(1.0));
     let config = Config { path: Some("frames".into()), intrinsics: Some(GIVEN), ..Config::default() };
-    let mut told = Vec::new();
-    let mut progress = |seen, all| told.push((seen, all));
+    let mut reports = Vec::new();
+    let mut progress = |seen, all| reports.push((seen, all));
     Playback::open_with_progress(&config, folder.path.parent().unwrap(), (0, 0), &mut progress).unwrap();
     assert_eq!(
-        told,
+        reports,
         [(1, 4), (2, 4), (3, 4), (4, 4), (1, 2), (2, 2)],
         "the frames and what is beside them, then the poses"
     );
 }
 
 #[test]
-fn names_are_not_listed_and_sorted_in_silence() {
+fn listing_and_sorting_names_reports_progress() {
     let folder = tempfile::tempdir().unwrap();
     (0..1500).for_each(|number| fs::write(folder.path().join(format!("{number}.png")), "").unwrap());
-    let mut told = Vec::new();
-    let files = layout::sorted_files(folder.path(), "", &mut |seen, all| told.push((seen, all))).unwrap();
+    let mut reports = Vec::new();
+    let files = layout::sorted_files(folder.path(), "", &mut |seen, all| reports.push((seen, all))).unwrap();
     assert!(files.iter().map(|file| layout::file_name(file)).eq((0..1500).map(|number| format!("{number}.png"))));
-    assert_eq!(told[..2], [(0, 1024), (0, 1500)], "once while they are listed, then while they are compared");
+    assert_eq!(reports[..2], [(0, 1024), (0, 1500)], "once while they are listed, then while they are compared");
 }
 
 #[test]
@@ -426,7 +432,7 @@ fn stamps_follow_the_rate() {
 }
 
 #[test]
-fn the_header_says_where_the_frame_comes_from() {
+fn the_header_names_the_source_of_the_frame() {
     let folder = Folder::new().depth(&["frame-000012.depth.png"]);
     let mut source = source(&folder, Config::default(), 0);
     let frame = source.recording.load(0).unwrap();
@@ -450,7 +456,7 @@ fn links_that_lead_nowhere_keep_their_places() {
 }
 
 #[test]
-fn only_when_no_frame_can_be_read_it_is_an_error() {
+fn a_recording_is_an_error_only_if_no_frame_can_be_read() {
     let folder = Folder::new().depth(&["0.png", "1.png"]);
     let mut source = source(&folder, Config::default(), 0);
     let error = anyhow::anyhow!("gone");
@@ -477,7 +483,7 @@ fn faults_of_the_parameters_are_found_without_opening() {
 }
 
 #[test]
-fn how_long_its_messages_are_is_known_before_it_starts() {
+fn the_length_of_its_messages_is_known_before_the_source_starts() {
     let folder = Folder::new().depth(&["0.png", "1.png"]);
     let config = |path: &str| Config { path: Some(path.into()), intrinsics: Some(GIVEN), ..Config::default() };
     let length = |config: &Config| ImageSource::message_length(config, folder.path.parent().unwrap());
@@ -496,7 +502,7 @@ fn how_long_its_messages_are_is_known_before_it_starts() {
 }
 
 #[test]
-fn intrinsics_of_another_resolution_are_seen() {
+fn intrinsics_of_another_resolution_are_recognised() {
     let camera = |cx, cy| Camera { width: 640, height: 480, fx: 500.0, fy: 500.0, cx, cy };
     assert!(!is_off_center(&camera(319.5, 239.5)) && !is_off_center(&camera(400.0, 180.0)));
     assert!(is_off_center(&camera(639.5, 359.5)), "of 1280x720");
@@ -519,7 +525,7 @@ fn places(folder: &Folder, poses: PosesConfig) -> Vec<Option<f64>> {
     sent.iter().map(|(header, _)| header.pose().map(|rows| rows[0][3])).collect()
 }
 
-fn poses_told(folder: &Folder, poses: &str) -> String {
+fn error_of_poses(folder: &Folder, poses: &str) -> String {
     let base = folder.path.parent().unwrap();
     let poses = poses.to_owned().into();
     let config = Config { path: Some("frames".into()), intrinsics: Some(GIVEN), poses, ..Config::default() };
@@ -545,8 +551,11 @@ fn seven_scenes_have_a_pose_beside_each_frame() {
     let lost = folder.file("frame-000002.pose.txt", matrix(2.5).replace("-1", "nan"));
     assert_eq!(places(&lost, PosesConfig::Auto), [Some(0.5), None, None]);
     let broken = lost.file("frame-000001.pose.txt", matrix(1.5).replace(" 3", ""));
-    let told = poses_told(&broken, "auto");
-    assert!(told.starts_with("the poses of `frames`: `frame-000001.pose.txt`: line 3, `0 -1 0`: expected 4"), "{told}");
+    let error = error_of_poses(&broken, "auto");
+    assert!(
+        error.starts_with("the poses of `frames`: `frame-000001.pose.txt`: line 3, `0 -1 0`: expected 4"),
+        "{error}"
+    );
     assert_eq!(places(&broken, PosesConfig::None), [None; 3]);
 }
 
@@ -557,14 +566,16 @@ fn a_folder_of_poses_may_lie_elsewhere() {
     assert_eq!(places(&folder, PosesConfig::Auto), [None; 2]);
     assert_eq!(places(&folder, PosesConfig::Path("pose".into())), [Some(0.5), Some(1.5)]);
     let other = Folder::new().depth(&["0.png"]).file("../pose/7.txt", matrix(0.5));
-    let told = poses_told(&other, "pose");
+    let error = error_of_poses(&other, "pose");
     assert!(
-        told.starts_with("the poses of `pose`: none of its poses belongs to any of the frames, of which `0.png`"),
-        "{told}"
+        error.starts_with("the poses of `pose`: none of its poses belongs to any of the frames, of which `0.png`"),
+        "{error}"
     );
-    assert!(poses_told(&Folder::new().depth(&["0.png"]).file("../pose/7.dat", ""), "pose").contains("nor any `*.txt`"));
+    assert!(
+        error_of_poses(&Folder::new().depth(&["0.png"]).file("../pose/7.dat", ""), "pose").contains("nor any `*.txt`")
+    );
     let several = Folder::new().depth(&["0.png"]).file("../pose/0.txt", "0 0 1\n".to_owned() + &matrix(0.5));
-    assert!(poses_told(&several, "pose").contains("`0.txt` has several poses, expected one"));
+    assert!(error_of_poses(&several, "pose").contains("`0.txt` has several poses, expected one"));
 }
 
 #[test]
@@ -581,14 +592,16 @@ fn tum_folders_have_poses_by_time() {
     let expected = [[0.0, 0.0, 1.0, 1.0], [-1.0, 0.0, 0.0, 2.0], [0.0, -1.0, 0.0, 3.0]];
     assert!(turned.iter().flatten().zip(expected.iter().flatten()).all(|(a, b)| (a - b).abs() < 1e-12), "{turned:?}");
     let folder = folder.file("groundtruth.txt", truth.replace("1.10 2", "1.10 x"));
-    let told = poses_told(&folder, "auto");
-    assert!(told.starts_with("the poses of `frames/groundtruth.txt`: line 3, `1.10 x 2 3"), "{told}");
+    let error = error_of_poses(&folder, "auto");
+    assert!(error.starts_with("the poses of `frames/groundtruth.txt`: line 3, `1.10 x 2 3"), "{error}");
     let folder = folder.file("groundtruth.txt", "9.0 1 2 3 0 0 0 1\n");
-    assert!(poses_told(&folder, "frames/groundtruth.txt").contains("none of its poses belongs to any of the frames"));
+    assert!(
+        error_of_poses(&folder, "frames/groundtruth.txt").contains("none of its poses belongs to any of the frames")
+    );
     assert_eq!(places(&folder, PosesConfig::Auto), [None; 3], "one that does not go with the frames is left alone");
     let stampless = Folder::new().depth(&["a.png"]).file("groundtruth.txt", truth);
     assert!(
-        poses_told(&stampless, "frames/groundtruth.txt").contains("its poses have times, and the frames have none")
+        error_of_poses(&stampless, "frames/groundtruth.txt").contains("its poses have times, and the frames have none")
     );
     assert_eq!(places(&stampless, PosesConfig::Auto), [None]);
 }
@@ -610,15 +623,17 @@ fn open3d_trajectories_are_in_the_order_of_the_frames() {
     let folder = folder.file("trajectory.log", format!("\u{feff}{}", blocks(4)));
     assert_eq!(places(&folder, PosesConfig::Auto)[1], Some(2.0), "a byte order mark is none of its text");
     let folder = folder.file("trajectory.log", blocks(3));
-    let told = poses_told(&folder, "frames/trajectory.log");
-    assert!(told.contains("the poses of `frames/trajectory.log`: 3 poses for 4 frames\n  hint: "), "{told}");
+    let error = error_of_poses(&folder, "frames/trajectory.log");
+    assert!(error.contains("the poses of `frames/trajectory.log`: 3 poses for 4 frames\n  hint: "), "{error}");
     assert_eq!(places(&folder, PosesConfig::Auto), [None; 3]);
     let folder = folder.file("other.log", blocks(4));
-    assert!(poses_told(&folder, "auto").contains("has several trajectories, such as `other.log` and `trajectory.log`"));
+    assert!(
+        error_of_poses(&folder, "auto").contains("has several trajectories, such as `other.log` and `trajectory.log`")
+    );
     assert_eq!(places(&folder, PosesConfig::Path("frames/other.log".into()))[1], Some(2.0));
     let folder = folder.file("trajectory.log", blocks(4).replacen("-1", "1", 1));
     assert!(
-        poses_told(&folder, "frames/trajectory.log").contains("from line 2 on is no pose: its left 3x3 part is no")
+        error_of_poses(&folder, "frames/trajectory.log").contains("from line 2 on is no pose: its left 3x3 part is no")
     );
-    assert!(poses_told(&folder.file("empty.log", ""), "frames/empty.log").contains("there is nothing in it"));
+    assert!(error_of_poses(&folder.file("empty.log", ""), "frames/empty.log").contains("there is nothing in it"));
 }

@@ -69,8 +69,8 @@ pub(super) fn parse(text: &str) -> Result<Trajectory> {
 fn numbers<const N: usize>((number, line): Line) -> Result<[f64; N]> {
     let words: Vec<&str> = line.split_whitespace().collect();
     let parsed: Option<Vec<f64>> = words.iter().map(|word| parsed(word)).collect();
-    let told = || format!("line {number}, `{}`: expected {N} numbers", excerpt(line));
-    parsed.and_then(|numbers| numbers.try_into().ok()).with_context(told)
+    let expected = || format!("line {number}, `{}`: expected {N} numbers", excerpt(line));
+    parsed.and_then(|numbers| numbers.try_into().ok()).with_context(expected)
 }
 
 /// Reads a number; `-1.#IND` and the like, which C writes on Windows, are NaN.
@@ -131,15 +131,15 @@ fn timed(lines: &[Line]) -> Result<Vec<(u64, Isometry3<f64>)>> {
 
 fn timed_pose((number, line): Line) -> Result<(u64, Isometry3<f64>)> {
     let [_, tx, ty, tz, qx, qy, qz, qw] = numbers((number, line))?;
-    let told = |what: &str| format!("line {number}, `{}`: {what}", excerpt(line));
+    let fault = |what: &str| format!("line {number}, `{}`: {what}", excerpt(line));
     let stamp = line.split_whitespace().next().and_then(tum::nanoseconds);
-    let stamp_ns = stamp.with_context(|| told("it does not begin with a time in seconds"))?;
-    ensure!([tx, ty, tz].iter().all(|number| number.is_finite()), told("a place that is not finite"));
+    let stamp_ns = stamp.with_context(|| fault("it does not begin with a time in seconds"))?;
+    ensure!([tx, ty, tz].iter().all(|number| number.is_finite()), fault("a place that is not finite"));
     let quaternion = Quaternion::new(qw, qx, qy, qz);
     let length = quaternion.norm();
     ensure!(
         (length - 1.0).abs() <= UNIT_TOLERANCE,
-        told(&format!("a quaternion `qx qy qz qw` of length {length:.3}, expected 1"))
+        fault(&format!("a quaternion `qx qy qz qw` of length {length:.3}, expected 1"))
     );
     Ok((stamp_ns, Isometry3::from_parts(Translation3::new(tx, ty, tz), UnitQuaternion::from_quaternion(quaternion))))
 }
@@ -161,12 +161,12 @@ mod tests {
         assert!(offset.norm() < 1e-6, "{pose}");
     }
 
-    fn told(text: &str) -> String {
+    fn error_of(text: &str) -> String {
         format!("{:#}", parse(text).unwrap_err())
     }
 
     #[test]
-    fn a_matrix_takes_the_camera_to_the_world() {
+    fn a_matrix_maps_the_camera_to_the_world() {
         let Ok(Trajectory::Single(Some(pose))) = parse(MATRIX) else { panic!() };
         assert_looks_along_x(&pose);
         let tabs = MATRIX.replace(' ', "\t ").replace('\n', " \r\n") + "\r\n";
@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn a_quaternion_takes_the_camera_to_the_world() {
+    fn a_quaternion_maps_the_camera_to_the_world() {
         let text = "# ground truth trajectory\n# timestamp tx ty tz qx qy qz qw\n7.5 4 5 6 0 0 0 1\n\
                     1305031098.6659 1 2 3 -0.5 0.5 -0.5 0.5\n";
         let Ok(Trajectory::Timed(poses)) = parse(text) else { panic!() };
@@ -205,28 +205,30 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_told_with_its_line() {
-        assert_eq!(told("\n# nothing\n"), "there is nothing in it");
-        assert_eq!(told("one line\n"), "line 1, `one line`: 2 words, expected 3, 4 or 8 numbers");
-        assert_eq!(told("1 0 0 0\n0 1 0 0\n"), "the matrix from line 1 on has 2 lines, expected 4");
-        assert_eq!(told(&MATRIX.replace("-1 0 0 2", "-1 0 0")), "line 2, `-1 0 0`: expected 4 numbers");
-        assert_eq!(told(&MATRIX.replace("-1 0 0 2", "-1 0 o 2")), "line 2, `-1 0 o 2`: expected 4 numbers");
-        let last = told(&MATRIX.replace("0 0 0 1", "1 2 3 1"));
+    fn faults_are_reported_with_their_line() {
+        assert_eq!(error_of("\n# nothing\n"), "there is nothing in it");
+        assert_eq!(error_of("one line\n"), "line 1, `one line`: 2 words, expected 3, 4 or 8 numbers");
+        assert_eq!(error_of("1 0 0 0\n0 1 0 0\n"), "the matrix from line 1 on has 2 lines, expected 4");
+        assert_eq!(error_of(&MATRIX.replace("-1 0 0 2", "-1 0 0")), "line 2, `-1 0 0`: expected 4 numbers");
+        assert_eq!(error_of(&MATRIX.replace("-1 0 0 2", "-1 0 o 2")), "line 2, `-1 0 o 2`: expected 4 numbers");
+        let last = error_of(&MATRIX.replace("0 0 0 1", "1 2 3 1"));
         assert_eq!(last, "line 4, `1 2 3 1`: expected `0 0 0 1`, the last row of a pose");
         for no_rotation in
             [MATRIX.replacen("-1", "1", 1), MATRIX.replace("-1", "-2"), MATRIX.replace("-1 0 0", "-1 0.1 0")]
         {
-            assert!(told(&no_rotation).contains("from line 1 on is no pose: "), "{no_rotation}");
+            assert!(error_of(&no_rotation).contains("from line 1 on is no pose: "), "{no_rotation}");
         }
-        assert!(told(&format!("{MATRIX}1 2 3 4\n")).starts_with("it goes on after four lines of a matrix: line 5, "));
+        assert!(
+            error_of(&format!("{MATRIX}1 2 3 4\n")).starts_with("it goes on after four lines of a matrix: line 5, ")
+        );
         let cut = format!("0 0 1\n{MATRIX}1 1 2\n1 0 0 0\n");
-        assert_eq!(told(&cut), "the matrix from line 6 on has 1 lines, expected 4");
+        assert_eq!(error_of(&cut), "the matrix from line 6 on has 1 lines, expected 4");
         let shifted = format!("0 0 1\n{MATRIX}{MATRIX}0 0 0 0\n");
-        assert_eq!(told(&shifted), "line 6, `0 0 1 1`: expected three whole numbers before a matrix");
-        assert_eq!(told("1 2 3 4 5 6 7 eight\n"), "line 1, `1 2 3 4 5 6 7 eight`: expected 8 numbers");
-        assert!(told("-1 0 0 0 0 0 0 1\n").ends_with("it does not begin with a time in seconds"));
-        assert!(told("1 0 inf 0 0 0 0 1\n").ends_with("a place that is not finite"));
+        assert_eq!(error_of(&shifted), "line 6, `0 0 1 1`: expected three whole numbers before a matrix");
+        assert_eq!(error_of("1 2 3 4 5 6 7 eight\n"), "line 1, `1 2 3 4 5 6 7 eight`: expected 8 numbers");
+        assert!(error_of("-1 0 0 0 0 0 0 1\n").ends_with("it does not begin with a time in seconds"));
+        assert!(error_of("1 0 inf 0 0 0 0 1\n").ends_with("a place that is not finite"));
         let scalar_first = "5.0 0 0 0 0.9 0.9 0 0\n";
-        assert!(told(scalar_first).ends_with("a quaternion `qx qy qz qw` of length 1.273, expected 1"));
+        assert!(error_of(scalar_first).ends_with("a quaternion `qx qy qz qw` of length 1.273, expected 1"));
     }
 }

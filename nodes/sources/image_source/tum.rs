@@ -29,7 +29,7 @@ pub(super) struct Entry<'a> {
 /// # Errors
 /// A line is no entry (the error gives its number), or the list is empty.
 pub(super) fn parse(text: &str) -> Result<Vec<Entry<'_>>> {
-    let entry = |(number, line)| entry(line).with_context(|| told(number, line));
+    let entry = |(number, line)| entry(line).with_context(|| line_fault(number, line));
     let entries: Vec<_> = lines(text).map(entry).collect::<Result<_>>()?;
     ensure!(!entries.is_empty(), "the list names no frames");
     Ok(entries)
@@ -41,7 +41,7 @@ pub(super) fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
     lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'))
 }
 
-fn told(number: usize, line: &str) -> String {
+fn line_fault(number: usize, line: &str) -> String {
     format!("line {number}, `{}`: expected a time stamp in seconds and a file name", excerpt(line))
 }
 
@@ -77,13 +77,13 @@ mod tests {
     }
 
     #[test]
-    fn faults_are_told_with_their_line() {
-        let told = |text: &str| format!("{:#}", parse(text).unwrap_err());
+    fn faults_are_reported_with_their_line() {
+        let error = |text: &str| format!("{:#}", parse(text).unwrap_err());
         let expected = "expected a time stamp in seconds and a file name";
-        assert_eq!(told("1.0 a\n1.5"), format!("line 2, `1.5`: {expected}: there is no file name"));
-        assert_eq!(told("#\nx1 a"), format!("line 2, `x1 a`: {expected}: `x1` is no number of seconds"));
-        assert_eq!(told("-1 a"), format!("line 1, `-1 a`: {expected}: `-1` is no number of seconds"));
-        assert_eq!(told("99999999999999 a").split(": ").last(), Some("`99999999999999` is no number of seconds"));
-        assert_eq!(told("# nothing\n"), "the list names no frames");
+        assert_eq!(error("1.0 a\n1.5"), format!("line 2, `1.5`: {expected}: there is no file name"));
+        assert_eq!(error("#\nx1 a"), format!("line 2, `x1 a`: {expected}: `x1` is no number of seconds"));
+        assert_eq!(error("-1 a"), format!("line 1, `-1 a`: {expected}: `-1` is no number of seconds"));
+        assert_eq!(error("99999999999999 a").split(": ").last(), Some("`99999999999999` is no number of seconds"));
+        assert_eq!(error("# nothing\n"), "the list names no frames");
     }
 }

@@ -108,7 +108,7 @@ pub(super) fn play(bytes: &[u8], config: Config) -> anyhow::Result<Vec<(Header, 
     RecordingFolder::of(bytes).play(config)
 }
 
-pub(super) fn told(bytes: &[u8], config: Config) -> String {
+pub(super) fn error_of(bytes: &[u8], config: Config) -> String {
     format!("{:#}", play(bytes, config).unwrap_err())
 }
 

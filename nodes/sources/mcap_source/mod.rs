@@ -71,8 +71,8 @@ impl Source for McapSource {
         let next = self.replay.next_message();
         output.count_all(self.replay.take_counts());
         let Some(message) = next.map_err(stage_error)? else { return Ok(Next::End) };
-        let place = output.image(message.items.len() / self.replay.item().size())?;
-        bytemuck::cast_slice_mut(place).copy_from_slice(&message.items);
+        let items = output.loan(message.items.len() / self.replay.item().size())?;
+        bytemuck::cast_slice_mut(items).copy_from_slice(&message.items);
         output.header = message.header;
         Ok(Next::Message)
     }

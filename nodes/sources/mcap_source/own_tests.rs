@@ -17,7 +17,7 @@ use std::fs;
 use std::time::{Duration, Instant};
 
 #[test]
-fn what_conicflow_records_comes_back_to_the_bit() {
+fn a_recording_of_conicflow_is_replayed_bit_for_bit() {
     for depth_scale in [0.001, 0.0002, 0.000_25, 0.000_123_456_7] {
         let place = RecordingFolder(tempfile::tempdir().unwrap());
         record(&place.0.path().join("run.mcap"), Limits::default(), depth_scale, 0..3);
@@ -41,7 +41,7 @@ fn what_conicflow_records_comes_back_to_the_bit() {
 }
 
 #[test]
-fn a_file_that_goes_or_becomes_shorter_while_it_is_played_is_an_error_that_lasts() {
+fn a_file_that_disappears_or_shrinks_during_playback_is_a_lasting_error() {
     type Change = fn(&Path);
     let by_time = Limits { split_ns: Some(100_000_000), ..Limits::default() };
     let changes: [(Change, &str); 2] = [
@@ -56,17 +56,17 @@ fn a_file_that_goes_or_becomes_shorter_while_it_is_played_is_an_error_that_lasts
         assert!(replay.next_message().unwrap().is_some());
         change(&place.path().join("new/run_1.mcap"));
         let error = all(&mut replay).unwrap_err();
-        let told = format!("{error:#}");
+        let text = format!("{error:#}");
         assert!(
-            told.starts_with("after ") && told.contains(expected) && told.contains("hint: leave a recording"),
-            "{told}"
+            text.starts_with("after ") && text.contains(expected) && text.contains("hint: leave a recording"),
+            "{text}"
         );
-        assert!(conicflow_messages::lasts(error.as_ref()), "{told}");
+        assert!(conicflow_messages::lasts(error.as_ref()), "{text}");
     }
 }
 
 #[test]
-fn what_a_killed_recorder_has_written_is_there_after_a_second() {
+fn a_killed_recorder_leaves_all_but_the_last_second() {
     let place = tempfile::tempdir().unwrap();
     let path = place.path().join("run.mcap");
     let recorder = Recorder::create(&path, Limits::default(), RUN, false).unwrap();
@@ -75,7 +75,7 @@ fn what_a_killed_recorder_has_written_is_there_after_a_second() {
     recorder.write("depth", &depth, None).unwrap();
     // Nothing follows, and `finish` is not called: the recorder's thread flushes.
     let deadline = Instant::now() + Duration::from_secs(60);
-    while Files::find(&path).unwrap().survey().map_or(0, |seen| seen.len()) < 4 {
+    while Files::find(&path).unwrap().survey().map_or(0, |channels| channels.len()) < 4 {
         assert!(Instant::now() < deadline, "it never came into the file");
         std::thread::yield_now();
     }
@@ -111,7 +111,7 @@ fn recordings_are_split_and_kept_to_a_limit() {
 }
 
 #[test]
-fn a_new_recording_of_several_files_takes_the_place_of_an_earlier_one_and_a_restart_goes_on_behind_it() {
+fn a_new_recording_of_several_files_replaces_an_earlier_one_and_a_restart_continues_it() {
     let place = tempfile::tempdir().unwrap();
     let path = place.path().join("run.mcap");
     let names = || {
@@ -140,12 +140,12 @@ fn a_new_recording_of_several_files_takes_the_place_of_an_earlier_one_and_a_rest
     let wrong = place.path().join("run_5.mcap");
     fs::create_dir(&wrong).unwrap();
     let recorder = Recorder::create(&path, split, RUN, false).unwrap();
-    let told = write_one(&recorder).unwrap_err().to_string();
-    assert!(told.starts_with(&format!("cannot write the recording `{}`: ", path.display())), "{told}");
+    let error = write_one(&recorder).unwrap_err().to_string();
+    assert!(error.starts_with(&format!("cannot write the recording `{}`: ", path.display())), "{error}");
 }
 
 #[test]
-fn a_restart_records_beside_what_was_recorded() {
+fn a_restart_records_into_another_file() {
     let place = tempfile::tempdir().unwrap();
     let path = place.path().join("run.mcap");
     record(&path, Limits::default(), 0.001, 0..2);
@@ -180,7 +180,7 @@ fn write_one(recorder: &Recorder) -> anyhow::Result<Recorded> {
 }
 
 #[test]
-fn an_empty_recording_is_one_where_there_was_none_and_nothing_is_left_of_one_that_was_not_finished() {
+fn a_recording_without_messages_is_an_empty_file_if_it_was_finished_and_no_file_otherwise() {
     let place = tempfile::tempdir().unwrap();
     let path = place.path().join("run.mcap");
     drop(Recorder::create(&path, Limits::default(), RUN, false).unwrap());
@@ -214,7 +214,7 @@ fn a_restart_counts_and_removes_only_what_its_own_run_has_recorded() {
 }
 
 #[test]
-fn what_a_lossless_sink_has_taken_is_in_the_file() {
+fn messages_that_a_lossless_sink_has_taken_are_in_the_file() {
     let place = tempfile::tempdir().unwrap();
     let config = || mcap_sink::Config { path: Some("run.mcap".into()), ..mcap_sink::Config::default() };
     let frames = |delivery| {
@@ -231,10 +231,10 @@ fn what_a_lossless_sink_has_taken_is_in_the_file() {
 }
 
 #[test]
-fn what_cannot_be_written_is_told() {
+fn recordings_that_cannot_be_written_are_reported() {
     let place = tempfile::tempdir().unwrap();
     fs::write(place.path().join("file"), "").unwrap();
-    let told = |path: &Path| {
+    let error = |path: &Path| {
         let written = Recorder::create(path, Limits::default(), RUN, false).and_then(|recorder| {
             let header = header(0, 0.001);
             recorder.write(
@@ -246,10 +246,10 @@ fn what_cannot_be_written_is_told() {
         });
         written.unwrap_err().to_string()
     };
-    assert!(told(&place.path().join("file/run.mcap")).contains("cannot write the recording"));
-    assert!(told(place.path()).contains("cannot write the recording"));
+    assert!(error(&place.path().join("file/run.mcap")).contains("cannot write the recording"));
+    assert!(error(place.path()).contains("cannot write the recording"));
     if Path::new("/dev/full").exists() {
-        let full = told(Path::new("/dev/full"));
+        let full = error(Path::new("/dev/full"));
         assert!(full.contains("hint: free some space") && full.contains("No space left"), "{full}");
     } else {
         eprintln!("SKIPPED: this system has no /dev/full");
@@ -266,9 +266,9 @@ fn own_headers_of_another_version_are_refused() {
     file.0.write_to_known_channel(&message, &[0; 900]).unwrap();
     let place = RecordingFolder::of(&file.bytes());
     let config = Config { path: Some("run.mcap".into()), ..Config::default() };
-    let told = format!("{:#}", Replay::open(&config, place.0.path(), &BUILT_IN[2]).err().unwrap());
+    let error = format!("{:#}", Replay::open(&config, place.0.path(), &BUILT_IN[2]).err().unwrap());
     assert!(
-        told.contains("they are `conicflow.Object.v0`") && told.contains("hint: replay them with the version"),
-        "{told}"
+        error.contains("they are `conicflow.Object.v0`") && error.contains("hint: replay them with the version"),
+        "{error}"
     );
 }

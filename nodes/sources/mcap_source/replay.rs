@@ -54,7 +54,7 @@ pub struct Replay {
     round: Round,
     counts: BTreeMap<&'static str, u64>,
     /// Kinds of unusable messages for which the reason was already logged.
-    told: BTreeSet<&'static str>,
+    reported_sorts: BTreeSet<&'static str>,
     is_reported: bool,
     empty: EmptyFrames,
 }
@@ -105,7 +105,7 @@ impl Replay {
             header: None,
             round: Round::default(),
             counts: BTreeMap::new(),
-            told: BTreeSet::new(),
+            reported_sorts: BTreeSet::new(),
             is_reported: resume_at > 0,
             empty: if resume_at > 0 { EmptyFrames::silent() } else { EmptyFrames::default() },
         };
@@ -144,10 +144,10 @@ impl Replay {
         }
         let names = transforms.names();
         if !names.contains(world.trim_start_matches('/')) {
-            let there: Vec<_> = names.into_iter().map(|name| format!("`{name}`")).collect();
-            let there = if there.is_empty() { "nothing tells of any".to_owned() } else { there.join(", ") };
+            let listed: Vec<_> = names.into_iter().map(|name| format!("`{name}`")).collect();
+            let listed = if listed.is_empty() { "nothing tells of any".to_owned() } else { listed.join(", ") };
             let what = format!("`world`: the recording has no frame `{world}`");
-            bail!(Hinted::new(what, format!("frames: {there}")));
+            bail!(Hinted::new(what, format!("frames: {listed}")));
         }
         self.transforms = Some(transforms);
         Ok(())
@@ -228,7 +228,7 @@ impl Replay {
 
     /// Counts a message that cannot be used; logs the reason for the first one of its kind.
     fn pass_over(&mut self, topic: &str, sort: &'static str, error: &Error) {
-        if self.told.insert(sort) {
+        if self.reported_sorts.insert(sort) {
             tracing::warn!("passed over a message of `{topic}`, more of that is counted as `{sort}`: {error:#}");
         }
         *self.counts.entry(sort).or_default() += 1;
@@ -309,7 +309,7 @@ impl Replay {
             Chosen::Images { is_compressed, camera, .. } => self.image(message, *is_compressed, *camera)?,
         };
         if self.item.is_image() {
-            self.tell(&replayed);
+            self.report_first_image(&replayed);
         }
         Ok(Some(replayed))
     }
@@ -377,11 +377,11 @@ impl Replay {
     }
 
     /// Logs once the resolution and depths of the images, so that a wrong scale is seen.
-    fn tell(&mut self, replayed: &Replayed) {
+    fn report_first_image(&mut self, replayed: &Replayed) {
         let Header { camera, depth_scale, .. } = &replayed.header;
         let pixels = || replayed.items_as::<u16>();
-        let tell = || report_frame("frames", self.chosen.topics()[0], camera, *depth_scale, &pixels());
-        self.is_reported = self.is_reported || tell();
+        let report = || report_frame("frames", self.chosen.topics()[0], camera, *depth_scale, &pixels());
+        self.is_reported = self.is_reported || report();
     }
 }
 

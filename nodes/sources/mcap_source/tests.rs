@@ -26,7 +26,7 @@ fn frames_come_with_their_camera_stamp_and_numbers() {
 }
 
 #[test]
-fn what_the_parameters_say_has_the_last_word() {
+fn parameters_take_precedence_over_the_recording() {
     let intrinsics = Intrinsics { fx: 40.0, fy: 41.0, cx: 2.0, cy: 1.0 };
     let noise = Some(serde_json::from_value("ideal".into()).unwrap());
     let config = Config { depth_scale: Some(0.0002), intrinsics: Some(intrinsics), noise, ..Config::default() };
@@ -42,7 +42,7 @@ fn chunks_may_be_compressed() {
         assert_eq!(play(&file, Config::default()).unwrap(), plain);
     }
     let other = replace(&with_zstd(&usual(None)), b"zstd", b"zpaq");
-    assert!(told(&other, Config::default()).contains("compressed by `zpaq`, expected `lz4` or `zstd`\n  hint: "));
+    assert!(error_of(&other, Config::default()).contains("compressed by `zpaq`, expected `lz4` or `zstd`\n  hint: "));
 }
 
 /// The bytes with each occurrence of `from` changed.
@@ -99,8 +99,8 @@ fn a_file_that_was_cut_is_played_up_to_its_last_whole_message() {
                     most = most.max(frames.len());
                 }
                 Err(error) => {
-                    let told = format!("{error:#}");
-                    assert!(told.contains("\n  hint: "), "{told}");
+                    let text = format!("{error:#}");
+                    assert!(text.contains("\n  hint: "), "{text}");
                 }
             }
         }
@@ -142,7 +142,7 @@ fn a_damaged_chunk_is_left_out_and_counted() {
 }
 
 #[test]
-fn a_chunk_that_its_check_sum_alone_shows_to_be_damaged_is_left_out_wherever_one_begins() {
+fn a_chunk_with_a_wrong_checksum_is_left_out_wherever_playback_begins() {
     let whole = play(&usual(None), Config::default()).unwrap();
     let mut damaged = usual(None);
     let image = write_units(stamped(3), SIZE, &pixels(3), Vec::new());
@@ -182,7 +182,7 @@ fn chunks(file: &[u8]) -> Vec<std::ops::Range<usize>> {
 }
 
 #[test]
-fn what_is_damaged_is_an_error_or_the_end_and_never_a_panic() {
+fn damage_is_an_error_or_the_end_and_never_a_panic() {
     let rounds = std::env::var("CONICFLOW_MUTATIONS").ok().and_then(|rounds| rounds.parse().ok()).unwrap_or(300);
     let mut random = fastrand::Rng::with_seed(1);
     for file in [usual(Some(Compression::Lz4)), with_zstd(&usual(None))] {
@@ -201,8 +201,8 @@ fn what_is_damaged_is_an_error_or_the_end_and_never_a_panic() {
             match played {
                 Ok((frames, rest)) => assert!(frames.iter().chain(&rest).all(|(_, depths)| depths.len() == 12)),
                 Err(error) => {
-                    let told = format!("{error:#}");
-                    assert!(!told.contains("may this user read it"), "the file can be read: {told}");
+                    let text = format!("{error:#}");
+                    assert!(!text.contains("may this user read it"), "the file can be read: {text}");
                 }
             }
         }
@@ -219,7 +219,7 @@ fn metres_become_units_of_the_finest_scale() {
 }
 
 #[test]
-fn what_is_too_far_away_is_counted() {
+fn pixels_that_are_too_far_are_counted() {
     let far = |z: f32| write_metres(stamped(0), SIZE, [z; 12].into_iter(), Vec::new());
     let half = write_metres(stamped(0), SIZE, (0..12).map(|pixel| 2.8 * pixel as f32), Vec::new());
     let file = Foreign::new(None).info(INFO).put(IMAGES, IMAGE, 0, &half).put(IMAGES, IMAGE, 1, &far(1500.0)).bytes();
@@ -273,21 +273,23 @@ fn of_several_topics_one_has_to_be_named() {
     file.put("/left/infra", IMAGE, 0, &infrared.finish());
     let file = file.bytes();
     assert_eq!(
-        told(&file, Config::default()).split_once("`: ").unwrap().1,
+        error_of(&file, Config::default()).split_once("`: ").unwrap().1,
         format!(
             "several topics carry depth images: `{IMAGES}`, `/left/depth`\n  hint: say which, such as `topic = \"{IMAGES}\"`"
         )
     );
     assert_eq!(play(&file, topic("/left/depth")).unwrap().len(), 2);
     assert_eq!(play(&file, topic("/left/infra")).unwrap().len(), 1, "named, it is taken for depth");
-    let wrong = told(&file, topic("/right/depth"));
+    let wrong = error_of(&file, topic("/right/depth"));
     assert!(wrong.contains("the topic `/right/depth` is not in the recording, or has no messages"), "{wrong}");
     assert!(wrong.ends_with(&format!("\n  hint: topics with such: `{IMAGES}`, `/left/depth`")), "{wrong}");
-    assert!(told(&file, topic(INFO)).contains("carries `sensor_msgs/msg/CameraInfo` in `cdr`; expected depth images"));
+    assert!(
+        error_of(&file, topic(INFO)).contains("carries `sensor_msgs/msg/CameraInfo` in `cdr`; expected depth images")
+    );
 }
 
 #[test]
-fn what_a_recording_cannot_play_is_known_before_it_is_played() {
+fn parameters_that_do_not_fit_the_recording_are_reported_before_it_is_played() {
     let faults = |bytes: &[u8], config: Config| {
         let place = RecordingFolder::of(bytes);
         let faults = Config { path: Some("run.mcap".into()), ..config }.faults(place.0.path());
@@ -296,8 +298,11 @@ fn what_a_recording_cannot_play_is_known_before_it_is_played() {
     let fine: Vec<String> = faults(&usual(None), Config::default());
     assert!(fine.is_empty(), "{fine:?}");
     let two = Foreign::new(None).info(INFO).images(IMAGES, 0..1).images("/left/depth", 0..2).bytes();
-    let told: Vec<String> = faults(&two, Config::default());
-    assert!(told.len() == 1 && told[0].starts_with("`topic`: several topics carry depth images: "), "{told:?}");
+    let reported: Vec<String> = faults(&two, Config::default());
+    assert!(
+        reported.len() == 1 && reported[0].starts_with("`topic`: several topics carry depth images: "),
+        "{reported:?}"
+    );
     let named: Vec<String> = faults(&two, topic(IMAGES));
     assert!(named.is_empty(), "{named:?}");
     // The user may mean the lists of a recording by conicflow.
@@ -309,23 +314,23 @@ fn what_a_recording_cannot_play_is_known_before_it_is_played() {
 }
 
 #[test]
-fn an_image_of_absurd_size_is_told_as_such() {
+fn an_image_of_absurd_size_is_reported_as_such() {
     let mut huge = write_units(stamped(0), SIZE, &pixels(0), Vec::new());
     // Height and width follow the stamp and the name of the frame.
     let at = huge.windows(8).position(|bytes| bytes == [3, 0, 0, 0, 4, 0, 0, 0]).unwrap();
     huge[at..at + 4].copy_from_slice(&u32::MAX.to_le_bytes());
     let file = Foreign::new(None).info(INFO).put(IMAGES, IMAGE, 0, &huge).bytes();
-    let told = told(&file, Config::default());
+    let error = error_of(&file, Config::default());
     assert!(
-        told.contains(&format!("the first image of `{IMAGES}`: an image of 4x4294967295 pixels, expected")),
-        "{told}"
+        error.contains(&format!("the first image of `{IMAGES}`: an image of 4x4294967295 pixels, expected")),
+        "{error}"
     );
 }
 
 #[test]
-fn a_recording_without_depth_tells_what_it_has() {
+fn the_error_of_a_recording_without_depth_lists_its_contents() {
     let other = Foreign::new(None).info(INFO).bytes();
-    let text = told(&other, Config::default());
+    let text = error_of(&other, Config::default());
     assert!(
         text.contains(&format!("has no depth images; it has\n    `{INFO}` with `sensor_msgs/msg/CameraInfo` in cdr"))
     );
@@ -338,14 +343,14 @@ fn a_recording_without_depth_tells_what_it_has() {
     ] {
         let file = Foreign::new(None).put(IMAGES, IMAGE, 0, first).bytes();
         for config in [Config::default(), topic(IMAGES)] {
-            let told = told(&file, config);
-            assert!(told.contains(expected), "{told}");
+            let error = error_of(&file, config);
+            assert!(error.contains(expected), "{error}");
         }
     }
     let ros1 = Foreign::new(None).put_as(IMAGES, ("sensor_msgs/Image", "ros1"), 0, &[0; 8]).bytes();
-    assert!(told(&ros1, Config::default()).contains("messages of ROS 1, expected those of ROS 2\n  hint: "));
-    assert!(told(&Foreign::new(None).bytes(), Config::default()).contains("no messages at all"));
-    assert!(told(b"no MCAP at all, but long enough", Config::default()).contains("\n  hint: "));
+    assert!(error_of(&ros1, Config::default()).contains("messages of ROS 1, expected those of ROS 2\n  hint: "));
+    assert!(error_of(&Foreign::new(None).bytes(), Config::default()).contains("no messages at all"));
+    assert!(error_of(b"no MCAP at all, but long enough", Config::default()).contains("\n  hint: "));
 }
 
 #[test]
@@ -358,26 +363,26 @@ fn a_distorted_image_is_refused_and_the_rectified_one_named() {
     let raw = "/camera/depth/image_raw";
     let mut file = Foreign::new(None);
     file.put(INFO, CAMERA_INFO, 0, &info).images(raw, 0..1);
-    let only_raw = told(&file.bytes(), Config::default());
+    let only_raw = error_of(&file.bytes(), Config::default());
     assert!(only_raw.contains(&format!("the images of `{raw}` are distorted (`{INFO}`: [0.1, 0.0])")), "{only_raw}");
     assert!(only_raw.ends_with("hint: rectify them by image_proc of ROS, and record that topic"), "{only_raw}");
     let mut file = Foreign::new(None);
     let file = file.put(INFO, CAMERA_INFO, 0, &info).images(raw, 0..1).images("/camera/depth/image_rect", 0..1).bytes();
-    assert!(told(&file, topic(raw)).ends_with("hint: `topic = \"/camera/depth/image_rect\"` is rectified"));
+    assert!(error_of(&file, topic(raw)).ends_with("hint: `topic = \"/camera/depth/image_rect\"` is rectified"));
     assert_eq!(play(&file, topic("/camera/depth/image_rect")).unwrap()[0].0.camera.fx, 45.0, "the projection's");
     // The hint proposes the one that can be played, in the syntax of the place.
-    assert!(told(&file, Config::default()).ends_with("such as `topic = \"/camera/depth/image_rect\"`"));
+    assert!(error_of(&file, Config::default()).ends_with("such as `topic = \"/camera/depth/image_rect\"`"));
     let written_in = WrittenIn::CommandLine;
-    let shell = told(&file, Config { written_in, ..Config::default() });
+    let shell = error_of(&file, Config { written_in, ..Config::default() });
     assert!(shell.ends_with("hint: say which, such as `--topic /camera/depth/image_rect`"), "{shell}");
-    let shell = told(&file, Config { written_in, ..topic(raw) });
+    let shell = error_of(&file, Config { written_in, ..topic(raw) });
     assert!(shell.ends_with("hint: `--topic /camera/depth/image_rect` is rectified"), "{shell}");
 }
 
 #[test]
 fn without_a_camera_there_are_no_frames() {
     let none = Foreign::new(None).images(IMAGES, 0..1).bytes();
-    let text = told(&none, Config::default());
+    let text = error_of(&none, Config::default());
     assert!(
         text.contains(&format!(
             "no CameraInfo beside `{IMAGES}`, expected at `{INFO}`; there is none in the recording"
@@ -390,11 +395,11 @@ fn without_a_camera_there_are_no_frames() {
         .info(INFO)
         .put(IMAGES, IMAGE, 0, &write_units(stamped(0), (6, 2), &pixels(0), Vec::new()))
         .bytes();
-    assert!(told(&small, Config::default()).contains("is for images of 4x3, those of"));
+    assert!(error_of(&small, Config::default()).contains("is for images of 4x3, those of"));
 }
 
 #[test]
-fn an_image_that_cannot_be_read_is_passed_over_and_counted() {
+fn an_unreadable_image_is_skipped_and_counted() {
     let mut file = Foreign::new(None);
     file.info(INFO).images(IMAGES, 0..2).put(IMAGES, IMAGE, 2, &[0, 1, 0, 0, 9]);
     file.put(IMAGES, IMAGE, 3, &write_units(stamped(3), (3, 4), &pixels(3), Vec::new())).images(IMAGES, 4..5);
@@ -405,11 +410,13 @@ fn an_image_that_cannot_be_read_is_passed_over_and_counted() {
     assert_eq!(replay.take_counts().collect::<Vec<_>>(), [("frames unreadable", 2)]);
     let none = Foreign::new(None).info(INFO).images(IMAGES, 0..1).bytes();
     let late = Config { from_s: 5.0, ..Config::default() };
-    assert!(told(&none, late).starts_with(&format!("none of the messages of `{IMAGES}` can be read, or is between")));
+    assert!(
+        error_of(&none, late).starts_with(&format!("none of the messages of `{IMAGES}` can be read, or is between"))
+    );
 }
 
 #[test]
-fn what_cannot_be_read_at_the_beginning_is_passed_over_and_counted() {
+fn unreadable_messages_at_the_beginning_are_skipped_and_counted() {
     let none = Camera { width: 0, height: 0, fx: 0.0, fy: 0.0, cx: 0.0, cy: 0.0 };
     let unready = CameraInfo::write(stamped(0), &none, Vec::new());
     let cut = &write_units(stamped(0), SIZE, &pixels(0), Vec::new())[..60];
@@ -438,7 +445,7 @@ fn what_cannot_be_read_at_the_beginning_is_passed_over_and_counted() {
         assert_eq!(counted(&file.bytes(), Config::default()), [("CameraInfo unreadable", 1)]);
     }
     let never = Foreign::new(None).put(INFO, CAMERA_INFO, 0, &unready).images(IMAGES, 1..3).bytes();
-    assert!(told(&never, Config::default()).contains(&format!("`{INFO}` has no intrinsics: the camera was not")));
+    assert!(error_of(&never, Config::default()).contains(&format!("`{INFO}` has no intrinsics: the camera was not")));
 }
 
 #[test]
@@ -466,7 +473,7 @@ fn a_camera_that_changes_is_followed() {
 }
 
 #[test]
-fn a_transform_that_makes_no_sense_is_passed_over_and_counted() {
+fn an_invalid_transform_is_skipped_and_counted() {
     let pose = [[1.0, 0.0, 0.0, 0.5], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
     let fixed = write_transform(Stamped { stamp_ns: 0, frame_id: "map" }, "optical", &pose, Vec::new());
     let wrong = write_transform(Stamped { stamp_ns: 0, frame_id: "map" }, "arm", &[[f64::NAN; 4]; 3], Vec::new());
@@ -482,7 +489,7 @@ fn a_transform_that_makes_no_sense_is_passed_over_and_counted() {
 }
 
 #[test]
-fn a_file_whose_end_does_not_tell_all_its_topics_is_read_on() {
+fn a_file_whose_summary_lacks_topics_is_read_to_its_end() {
     let whole = play(&usual(None), Config::default()).unwrap();
     let complete = || mcap::WriteOptions::new().compression(None).chunk_size(Some(300));
     for options in [complete().repeat_channels(false), complete().repeat_channels(false).repeat_schemas(false)] {
@@ -496,7 +503,7 @@ fn a_file_whose_end_does_not_tell_all_its_topics_is_read_on() {
 }
 
 #[test]
-fn poses_come_from_tf_where_they_are_asked_for() {
+fn poses_are_taken_from_tf_if_they_are_requested() {
     let pose = |x: f64| [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
     let moved = |frame, x| {
         write_transform(Stamped { stamp_ns: stamp_ns(frame), frame_id: "map" }, "base", &pose(x), Vec::new())
@@ -516,7 +523,7 @@ fn poses_come_from_tf_where_they_are_asked_for() {
 }
 
 #[test]
-fn of_a_part_no_more_is_read_than_is_needed() {
+fn playing_a_part_reads_only_the_chunks_that_it_needs() {
     let file = Foreign::new(None).info(INFO).images(IMAGES, 0..9).bytes();
     let image = |frame| write_units(stamped(frame), SIZE, &pixels(frame), Vec::new());
     let at = |frame| file.windows(image(0).len()).position(|bytes| bytes == image(frame)).unwrap();
@@ -540,7 +547,7 @@ fn of_a_part_no_more_is_read_than_is_needed() {
 }
 
 #[test]
-fn a_part_is_played_and_played_again() {
+fn a_part_is_played_repeatedly() {
     let place = RecordingFolder::of(&usual(None));
     let part = Config { from_s: 0.1, to_s: Some(0.35), ..Config::default() };
     let stamps = |frames: &[(Header, Vec<u16>)]| {
@@ -573,7 +580,7 @@ fn a_part_is_played_and_played_again() {
 }
 
 #[test]
-fn a_folder_is_played_in_natural_order_and_other_formats_tell_how_they_are_converted() {
+fn a_folder_is_played_in_natural_order_and_other_formats_are_refused_with_their_conversion() {
     let place = RecordingFolder(tempfile::tempdir().unwrap());
     let folder = place.0.path().join("bag");
     fs::create_dir(&folder).unwrap();
@@ -585,18 +592,18 @@ fn a_folder_is_played_in_natural_order_and_other_formats_tell_how_they_are_conve
     assert_eq!(stamps, [0, 1, 2, 3, 4].map(stamp_ns));
     fs::write(folder.join("bag_11.mcap"), &usual(None)[..40]).unwrap();
     assert_eq!(place.play(config("bag")).unwrap().len(), 5, "a file that has nothing yet is left out");
-    let told = |path: &str| format!("{:#}", place.play(config(path)).unwrap_err());
+    let error = |path: &str| format!("{:#}", place.play(config(path)).unwrap_err());
     assert!(
-        told("run.bag")
+        error("run.bag")
             .contains("is a ROS 1 recording, expected MCAP\n  hint: pip install rosbags && rosbags-convert --src ")
     );
     fs::create_dir(place.0.path().join("old")).unwrap();
-    assert!(told("old").contains("no MCAP files in"));
+    assert!(error("old").contains("no MCAP files in"));
     fs::write(place.0.path().join("old/old_0.db3"), "").unwrap();
-    let converted = told("old");
+    let converted = error("old");
     assert!(
         converted.contains("is a rosbag2 recording in SQLite") && converted.contains("/old' --dst '"),
         "{converted}"
     );
-    assert!(told("run.mcap.zstd").contains("is compressed as a whole\n  hint: zstd -d '"));
+    assert!(error("run.mcap.zstd").contains("is compressed as a whole\n  hint: zstd -d '"));
 }

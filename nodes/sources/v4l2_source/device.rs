@@ -102,12 +102,12 @@ impl Driver for LinuxVideo {
             // In thousandths, as 29.97 Hz is a rate, too.
             capture.set_frame_interval(Fract::new(1000, (rate_hz * 1000.0).round().max(1.0) as u32))?;
         }
-        let came = capture.format();
-        let letters = came.pixel_format();
+        let actual = capture.format();
+        let letters = actual.pixel_format();
         let format = DepthFormat::of(letters.as_fourcc())
             .ok_or_else(|| io::Error::other(format!("it sends {letters} in place of {}", mode.format.word())))?;
-        let (width, height) = (came.width(), came.height());
-        let layout = Layout { format, width, height, bytes_per_line: came.bytes_per_line() };
+        let (width, height) = (actual.width(), actual.height());
+        let layout = Layout { format, width, height, bytes_per_line: actual.bytes_per_line() };
         Ok((layout, capture.into_stream()?))
     }
 }

@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn letters_are_those_of_the_kernel() {
+    fn format_codes_are_those_of_the_kernel() {
         for format in DepthFormat::ALL {
             assert_eq!(DepthFormat::of(format.fourcc()), Some(format));
         }

@@ -38,15 +38,15 @@ pub trait ImageOutput {
     ///
     /// # Errors
     /// There is no memory left.
-    fn image(&mut self, pixels: usize) -> Result<&mut [u16], StageError>;
+    fn loan(&mut self, pixels: usize) -> Result<&mut [u16], StageError>;
 
     /// Adds to a counter.
     fn count(&mut self, name: &'static str);
 }
 
 impl ImageOutput for Output<'_, u16> {
-    fn image(&mut self, pixels: usize) -> Result<&mut [u16], StageError> {
-        Output::image(self, pixels)
+    fn loan(&mut self, pixels: usize) -> Result<&mut [u16], StageError> {
+        Output::loan(self, pixels)
     }
 
     fn count(&mut self, name: &'static str) {
@@ -67,10 +67,11 @@ pub struct Grabber<D: Driver> {
     wanted: Wanted,
     opened: Option<Opened<D::Stream>>,
     has_opened: bool,
-    /// When the last image came; `due` is when to try again to open the device.
-    heard: Instant,
-    due: Instant,
-    told: Option<String>,
+    /// When the last image arrived.
+    last_image_at: Instant,
+    /// When to try again to open the device.
+    next_attempt_at: Instant,
+    last_warning: Option<String>,
     /// Median depth of the first image with valid depths.
     median: Option<u16>,
     try_again: Duration,
@@ -81,8 +82,19 @@ impl<D: Driver> Grabber<D> {
     /// Creates a grabber; the device is opened when the first image is asked for.
     pub fn new(driver: D, wanted: Wanted, stop: Stop) -> Self {
         let now = Instant::now();
-        let (opened, has_opened, told, median, try_again) = (None, false, None, None, TRY_AGAIN);
-        Self { driver, wanted, opened, has_opened, heard: now, due: now, told, median, try_again, stop }
+        let (opened, has_opened, last_warning, median, try_again) = (None, false, None, None, TRY_AGAIN);
+        Self {
+            driver,
+            wanted,
+            opened,
+            has_opened,
+            last_image_at: now,
+            next_attempt_at: now,
+            last_warning,
+            median,
+            try_again,
+            stop,
+        }
     }
 
     /// Writes the next image to `output` and returns its layout; none at the end of the run.
@@ -91,7 +103,7 @@ impl<D: Driver> Grabber<D> {
     /// There is no memory left, or the device does not offer the requested mode.
     pub fn next(&mut self, output: &mut dyn ImageOutput) -> Result<Option<Layout>, StageError> {
         // Time in which the pipeline had no room does not count as silence of the camera.
-        self.heard = Instant::now();
+        self.last_image_at = Instant::now();
         while !self.stop.requested() {
             if self.opened.is_none() {
                 self.open(output)?;
@@ -113,12 +125,12 @@ impl<D: Driver> Grabber<D> {
     }
 
     fn open(&mut self, output: &mut dyn ImageOutput) -> Result<(), StageError> {
-        let left = self.due.saturating_duration_since(Instant::now());
+        let left = self.next_attempt_at.saturating_duration_since(Instant::now());
         if !left.is_zero() {
             std::thread::sleep(left.min(IMAGE_TIMEOUT));
             return Ok(());
         }
-        self.due = Instant::now() + self.try_again;
+        self.next_attempt_at = Instant::now() + self.try_again;
         match self.find_and_open() {
             Ok(opened) => {
                 let (Layout { width, height, format, .. }, found) = (opened.layout, &opened.found);
@@ -127,7 +139,7 @@ impl<D: Driver> Grabber<D> {
                 if self.has_opened {
                     output.count(OPENED);
                 }
-                (self.opened, self.has_opened, self.heard) = (Some(opened), true, Instant::now());
+                (self.opened, self.has_opened, self.last_image_at) = (Some(opened), true, Instant::now());
                 Ok(())
             }
             // A lasting fault ends the stage, unless a camera was open before: another one may have been plugged in meanwhile.
@@ -160,13 +172,13 @@ impl<D: Driver> Grabber<D> {
     fn find(&self) -> Result<Found, Hinted> {
         let mut devices = self.driver.devices();
         let fits = |found: &Found| found.modes.iter().any(|mode| self.is_format(mode));
-        let there: Vec<_> = devices.iter().map(Found::to_string).collect();
-        let hint = if there.is_empty() {
+        let names: Vec<_> = devices.iter().map(Found::to_string).collect();
+        let hint = if names.is_empty() {
             "no video device here has a format with depths that this user may open: is it plugged in, is the user in the group \
              `video`?"
                 .to_owned()
         } else {
-            format!("with depths there are {}", there.join(", "))
+            format!("with depths there are {}", names.join(", "))
         };
         let name = self.wanted.device.as_deref();
         devices.retain(|found| name.map_or(fits(found), |name| is_named(found, name)));
@@ -212,8 +224,8 @@ impl<D: Driver> Grabber<D> {
         let Some(Opened { found, layout, stream }) = &mut self.opened else { return Ok(None) };
         let (layout, name) = (*layout, found.name.clone());
         let (mut result, median) = (Ok(Ok(())), &mut self.median);
-        let came = stream.next(IMAGE_TIMEOUT, &mut |buffer, is_damaged| {
-            result = output.image(layout.pixels()).map(|image| match layout.unpack(buffer, image) {
+        let has_image = stream.next(IMAGE_TIMEOUT, &mut |buffer, is_damaged| {
+            result = output.loan(layout.pixels()).map(|image| match layout.unpack(buffer, image) {
                 Ok(()) if is_damaged => Err("an image that its driver calls damaged".to_owned()),
                 Ok(()) => {
                     *median = median.or_else(|| median_depth(image));
@@ -222,19 +234,19 @@ impl<D: Driver> Grabber<D> {
                 Err(short) => Err(short.to_string()),
             });
         });
-        match came {
+        match has_image {
             Err(error) => self.close(&format!("{name} is lost: {error}")),
             Ok(false) => {
-                let silence = self.heard.elapsed();
+                let silence = self.last_image_at.elapsed();
                 if silence > self.wanted.stall {
                     self.close(&format!("{name} is lost: no image for {:.1} s", silence.as_secs_f64()));
                 }
             }
             Ok(true) => {
-                self.heard = Instant::now();
+                self.last_image_at = Instant::now();
                 match result? {
                     Ok(()) => {
-                        self.told = None;
+                        self.last_warning = None;
                         return Ok(Some(layout));
                     }
                     Err(fault) => {
@@ -255,9 +267,9 @@ impl<D: Driver> Grabber<D> {
     /// Logs a warning, unless it differs from the last one only in its numbers.
     fn warn(&mut self, text: &str) {
         let key: String = text.chars().filter(|letter| !letter.is_ascii_digit()).collect();
-        if self.told.as_ref() != Some(&key) {
+        if self.last_warning.as_ref() != Some(&key) {
             tracing::warn!("{text}");
-            self.told = Some(key);
+            self.last_warning = Some(key);
         }
     }
 }

@@ -32,7 +32,7 @@ enum Attempt {
 #[derive(Clone, Default)]
 struct Script {
     attempts: Rc<RefCell<VecDeque<Attempt>>>,
-    asked: Rc<RefCell<Vec<Mode>>>,
+    opened_modes: Rc<RefCell<Vec<Mode>>>,
     /// Requested when the script is at its end.
     stop: Stop,
 }
@@ -65,7 +65,7 @@ impl Driver for Script {
     }
 
     fn open(&self, _: &Path, mode: &Mode) -> io::Result<(Layout, Played)> {
-        self.asked.borrow_mut().push(mode.clone());
+        self.opened_modes.borrow_mut().push(mode.clone());
         let Some(Attempt::Device(modes, events)) = self.attempts.borrow_mut().pop_front() else {
             return Err(io::Error::from(io::ErrorKind::ResourceBusy));
         };
@@ -113,7 +113,7 @@ struct Images {
 }
 
 impl ImageOutput for Images {
-    fn image(&mut self, pixels: usize) -> Result<&mut [u16], StageError> {
+    fn loan(&mut self, pixels: usize) -> Result<&mut [u16], StageError> {
         self.image = vec![9999; pixels];
         Ok(&mut self.image)
     }
@@ -128,9 +128,9 @@ struct Outcome {
     /// Number of pixels and the value of all of them.
     images: Vec<(usize, u16)>,
     counted: BTreeMap<&'static str, u64>,
-    asked: Vec<Mode>,
+    opened_modes: Vec<Mode>,
     /// The last warning, without its numbers.
-    told: Option<String>,
+    last_warning: Option<String>,
     refused: Option<String>,
 }
 
@@ -153,8 +153,8 @@ fn play(wanted: Wanted, attempts: Vec<Attempt>) -> Outcome {
             }
         }
     }
-    let asked = script.asked.borrow().clone();
-    Outcome { images, counted: output.counted, asked, told: grabber.told, refused }
+    let opened_modes = script.opened_modes.borrow().clone();
+    Outcome { images, counted: output.counted, opened_modes, last_warning: grabber.last_warning, refused }
 }
 
 fn patient() -> Wanted {
@@ -166,14 +166,14 @@ fn device(events: &[Event]) -> Attempt {
 }
 
 #[test]
-fn images_come_without_the_gaps_between_their_rows() {
+fn images_are_delivered_without_the_gaps_between_their_rows() {
     let outcome = play(patient(), vec![device(&[Event::Image(1), Event::Silence, Event::Image(2)])]);
     assert_eq!(outcome.images, [(6, 1), (6, 2)]);
-    assert!(outcome.counted.is_empty() && outcome.told.is_none() && outcome.refused.is_none());
+    assert!(outcome.counted.is_empty() && outcome.last_warning.is_none() && outcome.refused.is_none());
 }
 
 #[test]
-fn a_camera_that_is_not_there_or_busy_is_waited_for() {
+fn a_missing_or_busy_camera_is_waited_for() {
     let nothing = || Attempt::Nothing;
     let outcome = play(patient(), vec![nothing(), nothing(), Attempt::Busy, device(&[Event::Image(1)])]);
     assert_eq!(outcome.images, [(6, 1)]);
@@ -181,7 +181,7 @@ fn a_camera_that_is_not_there_or_busy_is_waited_for() {
 }
 
 #[test]
-fn a_camera_that_is_unplugged_comes_back_also_with_another_size() {
+fn a_camera_that_is_unplugged_is_reopened_also_with_another_size() {
     let larger = Attempt::Device(z16(5, 4), vec![Event::Image(2)]);
     let first = device(&[Event::Image(1), Event::Unplugged]);
     let outcome = play(patient(), vec![first, Attempt::Nothing, Attempt::Nothing, larger]);
@@ -190,7 +190,7 @@ fn a_camera_that_is_unplugged_comes_back_also_with_another_size() {
 }
 
 #[test]
-fn a_camera_that_stalls_is_opened_anew() {
+fn a_camera_that_stalls_is_reopened() {
     let wanted = Wanted { stall: Duration::from_millis(20), ..Wanted::default() };
     let mut silent = vec![Event::Image(1)];
     silent.extend(vec![Event::Silence; 1000]);
@@ -200,21 +200,21 @@ fn a_camera_that_stalls_is_opened_anew() {
 }
 
 #[test]
-fn a_pipeline_without_room_is_no_stall() {
+fn a_slow_pipeline_is_not_taken_for_a_stalled_camera() {
     let script = Script::default();
     script.attempts.borrow_mut().push_back(device(&[Event::Image(1), Event::Silence, Event::Image(2)]));
     let wanted = Wanted { stall: Duration::from_secs(60), ..Wanted::default() };
     let mut grabber = Grabber::new(script.clone(), wanted, script.stop.clone());
     let mut output = Images::default();
     grabber.next(&mut output).unwrap().unwrap();
-    grabber.heard -= Duration::from_secs(3600);
+    grabber.last_image_at -= Duration::from_secs(3600);
     grabber.next(&mut output).unwrap().unwrap();
     assert_eq!(output.image[0], 2);
     assert!(output.counted.is_empty());
 }
 
 #[test]
-fn what_is_no_whole_image_is_counted_and_passed_over() {
+fn incomplete_images_are_counted_and_skipped() {
     let events = [
         Event::Image(1),
         Event::Bytes(Vec::new()),
@@ -226,32 +226,32 @@ fn what_is_no_whole_image_is_counted_and_passed_over() {
     let outcome = play(patient(), vec![device(&events)]);
     assert_eq!(outcome.images, [(6, 1), (6, 2)]);
     assert_eq!(outcome.counted, BTreeMap::from([(UNREADABLE, 4)]));
-    assert!(outcome.told.unwrap().contains("Depth Camera  sends an image that its driver calls damaged"));
+    assert!(outcome.last_warning.unwrap().contains("Depth Camera  sends an image that its driver calls damaged"));
 }
 
 #[test]
-fn the_format_is_one_with_depths_and_the_best() {
+fn the_best_format_with_depths_is_chosen() {
     let modes = vec![
         mode(DepthFormat::Y16, 8, 8),
         mode(DepthFormat::Inzi, 3, 2),
         mode(DepthFormat::Z16, 3, 2),
         mode(DepthFormat::Z16, 5, 4),
     ];
-    let asked = |wanted: Wanted| {
+    let chosen = |wanted: Wanted| {
         let outcome = play(wanted, vec![Attempt::Device(modes.clone(), vec![])]);
-        outcome.asked.first().map(|mode| (mode.format, mode.width, mode.rates_hz.clone())).ok_or(outcome.refused)
+        outcome.opened_modes.first().map(|mode| (mode.format, mode.width, mode.rates_hz.clone())).ok_or(outcome.refused)
     };
-    assert_eq!(asked(patient()), Ok((DepthFormat::Z16, 3, vec![])));
-    assert_eq!(asked(Wanted { size: Some((5, 4)), ..patient() }), Ok((DepthFormat::Z16, 5, vec![])));
-    assert_eq!(asked(Wanted { format: Some(DepthFormat::Y16), ..patient() }), Ok((DepthFormat::Y16, 8, vec![])));
-    assert_eq!(asked(Wanted { fps: Some(60.0), ..patient() }), Ok((DepthFormat::Z16, 3, vec![60.0])));
-    let told = asked(Wanted { size: Some((640, 480)), fps: Some(90.0), ..patient() }).unwrap_err().unwrap();
-    assert!(told.starts_with("`/dev/video2` (Depth Camera 435) has no depth images of 640x480 at 90 Hz\n"), "{told}");
-    assert!(told.contains("hint: it has y16 8x8 at 30, 60 Hz; inzi 3x2 at 30, 60 Hz; z16 3x2"), "{told}");
+    assert_eq!(chosen(patient()), Ok((DepthFormat::Z16, 3, vec![])));
+    assert_eq!(chosen(Wanted { size: Some((5, 4)), ..patient() }), Ok((DepthFormat::Z16, 5, vec![])));
+    assert_eq!(chosen(Wanted { format: Some(DepthFormat::Y16), ..patient() }), Ok((DepthFormat::Y16, 8, vec![])));
+    assert_eq!(chosen(Wanted { fps: Some(60.0), ..patient() }), Ok((DepthFormat::Z16, 3, vec![60.0])));
+    let error = chosen(Wanted { size: Some((640, 480)), fps: Some(90.0), ..patient() }).unwrap_err().unwrap();
+    assert!(error.starts_with("`/dev/video2` (Depth Camera 435) has no depth images of 640x480 at 90 Hz\n"), "{error}");
+    assert!(error.contains("hint: it has y16 8x8 at 30, 60 Hz; inzi 3x2 at 30, 60 Hz; z16 3x2"), "{error}");
 }
 
 #[test]
-fn grey_is_taken_for_depth_only_where_the_file_says_so() {
+fn grey_is_taken_for_depth_only_if_the_file_says_so() {
     let grey = || vec![Attempt::Device(vec![mode(DepthFormat::Y16, 3, 2)], vec![Event::Image(1)]), Attempt::Nothing];
     let outcome = play(Wanted { device: Some("depth camera".to_owned()), ..patient() }, grey());
     assert!(outcome.refused.unwrap().ends_with("; `format = \"y16\"` takes grey for depth"));
@@ -259,7 +259,7 @@ fn grey_is_taken_for_depth_only_where_the_file_says_so() {
 }
 
 #[test]
-fn a_device_that_sends_something_else_is_refused_at_first_and_waited_away_later() {
+fn a_device_that_sends_another_format_is_refused_at_the_start_and_waited_for_later() {
     let offered = || vec![mode(DepthFormat::Inzi, 3, 2), mode(DepthFormat::Z16, 3, 2)];
     let wrong = || Attempt::Device(offered(), vec![Event::Image(1)]);
     let wanted = || Wanted { format: Some(DepthFormat::Z16), ..patient() };

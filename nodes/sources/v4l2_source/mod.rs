@@ -175,22 +175,25 @@ mod tests {
     use super::*;
     use conicflow_dataflow::testing::collect;
 
-    fn told(config: &Config) -> Vec<String> {
+    fn fault_texts(config: &Config) -> Vec<String> {
         config.faults().into_iter().map(|fault| format!("{}: {}", fault.key, fault.what)).collect()
     }
 
     #[test]
     fn intrinsics_are_never_guessed() {
-        assert_eq!(told(&Config::default()), ["intrinsics: are missing: V4L2 does not know them"]);
+        assert_eq!(fault_texts(&Config::default()), ["intrinsics: are missing: V4L2 does not know them"]);
         let intrinsics = Some(Intrinsics { fx: 385.0, fy: 385.0, cx: 319.5, cy: 239.5 });
         let of_nothing = Config { intrinsics, ..Config::default() };
-        assert_eq!(told(&of_nothing), ["intrinsics: are those of images of a size that is not given"]);
+        assert_eq!(fault_texts(&of_nothing), ["intrinsics: are those of images of a size that is not given"]);
         let whole = Config { width: Some(640), height: Some(480), ..of_nothing };
-        assert!(told(&whole).is_empty());
-        assert_eq!(told(&Config { fov_deg: Some(80.0), ..whole.clone() }), ["fov_deg: stands beside `intrinsics`"]);
-        assert_eq!(told(&Config { height: None, ..whole.clone() })[0], "width: is one of two");
-        assert_eq!(told(&Config { depth_scale: 0.0, ..whole })[0], "depth_scale: is not from 1e-9 to 1");
-        assert!(told(&Config { fov_deg: Some(80.0), ..Config::default() }).is_empty());
+        assert!(fault_texts(&whole).is_empty());
+        assert_eq!(
+            fault_texts(&Config { fov_deg: Some(80.0), ..whole.clone() }),
+            ["fov_deg: stands beside `intrinsics`"]
+        );
+        assert_eq!(fault_texts(&Config { height: None, ..whole.clone() })[0], "width: is one of two");
+        assert_eq!(fault_texts(&Config { depth_scale: 0.0, ..whole })[0], "depth_scale: is not from 1e-9 to 1");
+        assert!(fault_texts(&Config { fov_deg: Some(80.0), ..Config::default() }).is_empty());
     }
 
     #[test]
@@ -203,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_without_a_camera_ends_when_it_is_to_end() {
+    fn a_run_without_a_camera_can_be_stopped() {
         let context = Context::default();
         let stop = context.stop.clone();
         let ended = std::thread::spawn(|| {

@@ -56,10 +56,10 @@ fn strike(blow: Blow, machines: &mut [Machine], link: Option<&zenoh::Session>) -
 /// Listens to the link for a moment, and puts what was heard back onto it with a few bytes changed.
 fn forge(link: &zenoh::Session) {
     let subscriber = link.declare_subscriber("conicflow/**").allowed_origin(Locality::Remote);
-    let (heard, until) = (subscriber.wait().unwrap(), Instant::now() + Duration::from_millis(300));
+    let (subscriber, until) = (subscriber.wait().unwrap(), Instant::now() + Duration::from_millis(300));
     let mut random = fastrand::Rng::with_seed(7);
     while Instant::now() < until
-        && let Ok(Some(sample)) = heard.recv_deadline(until)
+        && let Ok(Some(sample)) = subscriber.recv_deadline(until)
     {
         let mut bytes = sample.payload().to_bytes().into_owned();
         for _ in 0..random.usize(1..4) {
@@ -109,33 +109,33 @@ fn attack(mut round: Round) -> Result<String, String> {
         round.blows.push((after, blow));
     }
     machines.iter_mut().for_each(Machine::wake_all);
-    let was_told_to_end = finish(&round, begun, &mut machines)?;
+    let was_interrupted = finish(&round, begun, &mut machines)?;
     let (results, lives) =
         (machines[last].sequences(), machines.iter().map(|machine| machine.lives).collect::<Vec<_>>());
     let ended = machines.into_iter().map(Machine::end).collect::<Result<Vec<_>, _>>()?;
     expect_in_order(&round, &results, lives[0])?;
     let sequences = results.last().map_or(&[][..], Vec::as_slice);
-    let told = format!("{} lines, runs {lives:?}", sequences.len());
-    if was_told_to_end {
-        return Ok(format!("cut off, {told}"));
+    let outcome = format!("{} lines, runs {lives:?}", sequences.len());
+    if was_interrupted {
+        return Ok(format!("cut off, {outcome}"));
     }
     if round.has_link() {
         ended.iter().try_for_each(expect_explained)?;
         round.whole_from().map_or(Ok(()), |whole| expect_no_gap(&round, whole, sequences))?;
-        return Ok(told);
+        return Ok(outcome);
     }
     // On one machine the last run is as if no other had been before.
     round.forget_former_runs();
     let lost = expect_counted(&round, &ended[0], sequences.len() as u64)?;
-    Ok(format!("{told}, {lost} lost"))
+    Ok(format!("{outcome}, {lost} lost"))
 }
 
 fn expect_no_standstill(begun: Instant, machines: &[Machine]) -> Result<(), String> {
     if begun.elapsed() < LONGEST {
         return Ok(());
     }
-    let told: Vec<_> = machines.iter().map(Machine::stderr).collect();
-    Err(format!("it stands still: {told:?}"))
+    let logs: Vec<_> = machines.iter().map(Machine::stderr).collect();
+    Err(format!("it stands still: {logs:?}"))
 }
 
 /// Waits for the end of all runs. A run that waits for a machine whose launcher is dead, or that has ended before it was begun
@@ -143,7 +143,7 @@ fn expect_no_standstill(begun: Instant, machines: &[Machine]) -> Result<(), Stri
 fn finish(round: &Round, begun: Instant, machines: &mut [Machine]) -> Result<bool, String> {
     let was_cut = round.has(|blow| matches!(blow, Blow::KillLauncher(_)));
     let was_begun_again = round.has(|blow| matches!(blow, Blow::Again(..)));
-    let (mut first_ended, mut was_told) = (None, false);
+    let (mut first_ended, mut was_interrupted) = (None, false);
     while machines.iter_mut().any(Machine::is_running) {
         let some_ended = !machines.iter_mut().all(Machine::is_running);
         let since: Instant = *first_ended.get_or_insert_with(Instant::now);
@@ -151,15 +151,15 @@ fn finish(round: &Round, begun: Instant, machines: &mut [Machine]) -> Result<boo
             first_ended = None;
         }
         let is_alone = was_begun_again && some_ended && since.elapsed() > ALONE;
-        if (was_cut || is_alone) && !was_told {
+        if (was_cut || is_alone) && !was_interrupted {
             machines.iter().for_each(|machine| machine.signal(Signal::INT));
-            was_told = true;
+            was_interrupted = true;
         }
         machines.iter_mut().for_each(Machine::settle);
         expect_no_standstill(begun, machines)?;
         std::thread::sleep(CHECK_PERIOD);
     }
-    Ok(was_told || was_cut)
+    Ok(was_interrupted || was_cut)
 }
 
 /// Makes sure that no frame comes twice or out of order, but where the run that makes them was begun again.
@@ -258,7 +258,7 @@ fn attacks_lose_nothing_uncounted_and_leave_nothing_behind() {
         let attacked = catch_unwind(AssertUnwindSafe(|| attack(round)));
         let text = |panic: Box<dyn Any + Send>| panic.downcast_ref::<String>().cloned().unwrap_or_default();
         match attacked.unwrap_or_else(|panic| Err(text(panic))) {
-            Ok(told) => println!("  {told}"),
+            Ok(outcome) => println!("  {outcome}"),
             Err(found) => {
                 println!("  WRONG: {found}");
                 writeln!(wrong, "{SEED}={seed}: {found}\n{drawn}").unwrap();

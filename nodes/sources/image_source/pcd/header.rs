@@ -227,7 +227,7 @@ mod tests {
     const GOOD: &str = "# .PCD v0.7\nVERSION 0.7\nFIELDS label x y z\nSIZE 4 4 8 2\nTYPE U F F I\nCOUNT 2 1 1 1\n\
                         WIDTH 4\nHEIGHT 3\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 12\nDATA binary\n";
 
-    fn told(text: &str) -> String {
+    fn error_of(text: &str) -> String {
         format!("{:#}", Header::parse(text.as_bytes()).unwrap_err())
     }
 
@@ -253,33 +253,35 @@ mod tests {
     #[test]
     fn a_cloud_without_rows_is_refused() {
         let text = GOOD.replace("WIDTH 4", "WIDTH 12").replace("HEIGHT 3", "HEIGHT 1");
-        let error = told(&text);
+        let error = error_of(&text);
         assert!(error.starts_with("the cloud is not organised as an image: WIDTH 12, HEIGHT 1\n  hint: "), "{error}");
     }
 
     #[test]
-    fn faults_are_told_with_their_line() {
-        let told_for = |from: &str, to: &str| told(&GOOD.replace(from, to));
-        assert_eq!(told_for("WIDTH 4", "WIDTH 4x"), "line 7, `WIDTH 4x`: `4x` is no whole number");
-        assert_eq!(told_for("WIDTH 4", "WIDTH"), "line 7, `WIDTH`: a number is missing");
-        assert_eq!(told_for("WIDTH 4", "WIDTH -4"), "line 7, `WIDTH -4`: `-4` is no whole number");
-        assert_eq!(told_for("TYPE U", "TYPE Q"), "line 5, `TYPE Q F F I`: TYPE `Q`, expected F, I or U");
-        assert_eq!(told_for("SIZE 4", "SIZE 3"), "field `label`: no number of TYPE U has SIZE 3");
-        assert_eq!(told_for("SIZE 4 ", "SIZE "), "the header names 4 FIELDS, but 3 SIZE, 4 TYPE and 4 COUNT");
-        assert_eq!(told_for("WIDTH 4\n", ""), "the header has no `WIDTH` line");
-        assert_eq!(told_for("POINTS 12", "POINTS 13"), "POINTS 13, but WIDTH 4 times HEIGHT 3 is 12");
-        assert_eq!(told_for("HEIGHT 3", "HEIGHT 0"), "an empty cloud: WIDTH 4, HEIGHT 0");
-        assert!(told_for("DATA binary", "DATA zip").starts_with("line 11, `DATA zip`: expected `ascii`"));
-        assert!(told_for("DATA binary\n", "").starts_with("the header ends in line 11 without a `DATA` line\n  hint:"));
-        assert!(told_for("VERSION", "wersion").contains("line 2, `wersion 0.7`: no key of a PCD header\n  hint:"));
-        assert!(told_for("COUNT 2", "COUNT 99999").contains("COUNT 99999 is more than the 4096"));
+    fn faults_are_reported_with_their_line() {
+        let error_after = |from: &str, to: &str| error_of(&GOOD.replace(from, to));
+        assert_eq!(error_after("WIDTH 4", "WIDTH 4x"), "line 7, `WIDTH 4x`: `4x` is no whole number");
+        assert_eq!(error_after("WIDTH 4", "WIDTH"), "line 7, `WIDTH`: a number is missing");
+        assert_eq!(error_after("WIDTH 4", "WIDTH -4"), "line 7, `WIDTH -4`: `-4` is no whole number");
+        assert_eq!(error_after("TYPE U", "TYPE Q"), "line 5, `TYPE Q F F I`: TYPE `Q`, expected F, I or U");
+        assert_eq!(error_after("SIZE 4", "SIZE 3"), "field `label`: no number of TYPE U has SIZE 3");
+        assert_eq!(error_after("SIZE 4 ", "SIZE "), "the header names 4 FIELDS, but 3 SIZE, 4 TYPE and 4 COUNT");
+        assert_eq!(error_after("WIDTH 4\n", ""), "the header has no `WIDTH` line");
+        assert_eq!(error_after("POINTS 12", "POINTS 13"), "POINTS 13, but WIDTH 4 times HEIGHT 3 is 12");
+        assert_eq!(error_after("HEIGHT 3", "HEIGHT 0"), "an empty cloud: WIDTH 4, HEIGHT 0");
+        assert!(error_after("DATA binary", "DATA zip").starts_with("line 11, `DATA zip`: expected `ascii`"));
+        assert!(
+            error_after("DATA binary\n", "").starts_with("the header ends in line 11 without a `DATA` line\n  hint:")
+        );
+        assert!(error_after("VERSION", "wersion").contains("line 2, `wersion 0.7`: no key of a PCD header\n  hint:"));
+        assert!(error_after("COUNT 2", "COUNT 99999").contains("COUNT 99999 is more than the 4096"));
     }
 
     #[test]
-    fn sizes_that_cannot_be_are_refused() {
+    fn impossible_sizes_are_refused() {
         let huge = GOOD.replace("WIDTH 4", "WIDTH 4294967295").replace("HEIGHT 3", "HEIGHT 4294967295");
-        assert!(told(&huge).contains("more than the"));
+        assert!(error_of(&huge).contains("more than the"));
         let wraps = GOOD.replace("WIDTH 4", "WIDTH 9223372036854775809").replace("HEIGHT 3", "HEIGHT 2");
-        assert!(told(&wraps).contains("more than the"));
+        assert!(error_of(&wraps).contains("more than the"));
     }
 }

@@ -85,21 +85,21 @@ mod tests {
     }
 
     #[test]
-    fn literals_only() {
+    fn data_of_literals_alone_is_decompressed() {
         let data: Vec<u8> = (0..200_u32).map(|i| ((i * i * 7919) >> 3) as u8).collect();
         assert!(round_trip(&data) > data.len() * 9 / 10);
         assert_eq!(round_trip(&[]), 0);
     }
 
     #[test]
-    fn repetitions_short_and_long_near_and_far() {
+    fn short_and_long_near_and_far_repetitions_are_decompressed() {
         assert!(round_trip(&[7; 5000]) < 100, "a run refers to itself");
         let pattern: Vec<u8> = (0..9000_u32).map(|i| ((i % 3000) * 31 % 251) as u8).collect();
         assert!(round_trip(&pattern) < 5000, "references reach back by hundreds of bytes");
     }
 
     #[test]
-    fn a_reference_spelt_out() {
+    fn a_reference_written_byte_by_byte_is_decompressed() {
         // Three literals, then 2 + 2 bytes from a distance of 3.
         let mut output = [0; 7];
         decompress(&[2, b'a', b'b', b'c', 2 << 5, 2], &mut output).unwrap();
@@ -107,12 +107,12 @@ mod tests {
     }
 
     #[test]
-    fn hostile_input_is_told() {
-        let told = |input: &[u8]| decompress(input, &mut [0; 4]).unwrap_err().to_string();
-        assert_eq!(told(&[5, 1, 2]), "the compressed data ends in the middle of a run");
-        assert_eq!(told(&[0, 1, 0xe0]), "the compressed data ends in the middle of a run");
-        assert_eq!(told(&[0, 1, 0x20, 9]), "the compressed data refers back beyond its beginning");
-        assert_eq!(told(&[0, 1, 0xe0, 255, 0]), "the compressed data holds more than the expected 4 bytes");
-        assert_eq!(told(&[0, 1]), "the compressed data holds 1 bytes, expected 4");
+    fn malformed_input_is_refused() {
+        let error = |input: &[u8]| decompress(input, &mut [0; 4]).unwrap_err().to_string();
+        assert_eq!(error(&[5, 1, 2]), "the compressed data ends in the middle of a run");
+        assert_eq!(error(&[0, 1, 0xe0]), "the compressed data ends in the middle of a run");
+        assert_eq!(error(&[0, 1, 0x20, 9]), "the compressed data refers back beyond its beginning");
+        assert_eq!(error(&[0, 1, 0xe0, 255, 0]), "the compressed data holds more than the expected 4 bytes");
+        assert_eq!(error(&[0, 1]), "the compressed data holds 1 bytes, expected 4");
     }
 }

@@ -19,7 +19,7 @@ fn same(got: &[f32; 3], expected: &[f32; 3]) -> bool {
     got.iter().zip(expected).all(|(a, b)| a == b || (a.is_nan() && b.is_nan()))
 }
 
-fn told(file: &[u8]) -> String {
+fn error_of(file: &[u8]) -> String {
     format!("{:#}", Cloud::default().read(file).unwrap_err())
 }
 
@@ -53,14 +53,14 @@ fn whole_numbers_of_every_size_are_read() {
 }
 
 #[test]
-fn a_file_cut_off_anywhere_is_told_and_never_panics() {
+fn a_file_cut_off_anywhere_is_an_error_and_never_a_panic() {
     let expected = points(&depth_m());
     for encoding in ENCODINGS {
         let file = pcd_file(&expected, MIXED, encoding);
         for length in (0..file.len() - 8).step_by(97) {
-            assert!(!told(&file[..length]).is_empty());
+            assert!(!error_of(&file[..length]).is_empty());
         }
-        let error = told(&file[..file.len() * 3 / 4]);
+        let error = error_of(&file[..file.len() * 3 / 4]);
         let in_a_line = encoding == "ascii" && error.contains("numbers, expected 11");
         assert!(in_a_line || error.contains("the file seems to be cut off"), "{error}");
     }
@@ -78,24 +78,24 @@ fn damaged_bytes_never_panic() {
 }
 
 #[test]
-fn text_that_is_no_points_is_told_with_its_line() {
+fn text_that_is_no_points_is_reported_with_its_line() {
     let file = String::from_utf8(pcd_file(&points(&depth_m()), XYZ, "ascii")).unwrap();
     let mut lines: Vec<_> = file.lines().collect();
     lines[12] = "1.0 2.0";
-    assert_eq!(told(lines.join("\n").as_bytes()), "line 13: 2 numbers, expected 3");
+    assert_eq!(error_of(lines.join("\n").as_bytes()), "line 13: 2 numbers, expected 3");
     lines[12] = "1.0 ? 3.0";
-    assert_eq!(told(lines.join("\n").as_bytes()), "line 13: `?` is no number");
+    assert_eq!(error_of(lines.join("\n").as_bytes()), "line 13: `?` is no number");
     lines.remove(12);
-    let error = told(lines.join("\n").as_bytes());
+    let error = error_of(lines.join("\n").as_bytes());
     assert_eq!(error, "1727 points, expected 1728\n  hint: the file seems to be cut off");
 }
 
 #[test]
-fn fields_that_are_missing_or_odd_are_told() {
+fn missing_and_unsuitable_fields_are_reported() {
     let flat = pcd_file(&points(&depth_m()), &[("x", 'F', 4, 1), ("y", 'F', 4, 1), ("rgb", 'F', 4, 1)], "binary");
-    assert_eq!(told(&flat), "FIELDS x y rgb, expected x, y and z among them");
+    assert_eq!(error_of(&flat), "FIELDS x y rgb, expected x, y and z among them");
     let twice = pcd_file(&points(&depth_m()), &[("x", 'F', 4, 2), ("y", 'F', 4, 1), ("z", 'F', 4, 1)], "binary");
-    assert_eq!(told(&twice), "field `x` has COUNT 2, expected 1");
+    assert_eq!(error_of(&twice), "field `x` has COUNT 2, expected 1");
 }
 
 #[test]
@@ -110,13 +110,13 @@ fn no_memory_is_taken_for_points_that_the_file_cannot_hold() {
 }
 
 #[test]
-fn compressed_lengths_that_lie_are_told() {
+fn wrong_compressed_lengths_are_reported() {
     let file = pcd_file(&points(&depth_m()), XYZ, "binary_compressed");
     let at = Header::parse(&file).unwrap().data_offset;
     let mut lies = file.clone();
     lies[at + 4..at + 8].copy_from_slice(&7_u32.to_le_bytes());
-    assert_eq!(told(&lies), "7 bytes when decompressed, expected 20736 by the header");
+    assert_eq!(error_of(&lies), "7 bytes when decompressed, expected 20736 by the header");
     let mut lies = file.clone();
     lies[at..at + 4].copy_from_slice(&u32::MAX.to_le_bytes());
-    assert!(told(&lies).contains("bytes of compressed points, expected 4294967295\n  hint:"));
+    assert!(error_of(&lies).contains("bytes of compressed points, expected 4294967295\n  hint:"));
 }
