@@ -3,7 +3,7 @@
 //! Where a topic is written on one machine and read on another, the launcher of each machine starts one bridge process
 //! ([`process`]). Outgoing messages are read from shared memory, encoded ([`wire`]) and put under
 //! `conicflow/PIPELINE/MACHINE/TOPIC` ([`sending`]). Incoming messages are admitted only from the present session of the other
-//! bridge ([`gate`]); then they are checked, decoded and written into shared memory ([`receiving`]). Each bridge also puts a
+//! bridge ([`authenticator`]); then they are checked, decoded and written into shared memory ([`receiving`]). Each bridge also puts a
 //! small heartbeat under `conicflow/PIPELINE/@link/MACHINE` ([`peer`]): it acknowledges messages, compares the clocks, and shows
 //! that the link is alive, because Zenoh's `put` succeeds without any receiver. Where the machines share a key, a message counts
 //! only if it was made with that key by the present start of the other bridge (`wire::seal`, `peer::links`). Short messages that
@@ -16,12 +16,12 @@
 //! wait as soon as a receiver lags, to keep unacknowledged messages for the process that replaces a killed one, and to report the
 //! number of lost messages in the end.
 
+mod authenticator;
 mod certificates;
 mod channel;
 #[cfg(test)]
 mod edge_tests;
 mod error;
-mod gate;
 mod handshakes;
 mod logged_once;
 #[cfg(test)]

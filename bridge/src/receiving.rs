@@ -1,8 +1,8 @@
 //! The receiving side of an edge: checks and decodes messages, and writes them into shared memory as if the writer were local.
 
+use crate::authenticator::{Authenticator, Refusals};
 use crate::channel::Channel;
 use crate::error::BridgeError;
-use crate::gate::{Gate, Refusals};
 use crate::peer::counts::EdgeCounts;
 use crate::peer::heartbeat::Ack;
 use crate::peer::links::Links;
@@ -70,7 +70,7 @@ impl<'a> Receiving<'a> {
         let channel = Arc::new(Channel::new(room, !lossless));
         let zenoh_key = shared.key(&edge.from, &topic.name);
         let refusals = Arc::new(Refusals::new(edge, Arc::clone(&counts)));
-        let gate = Gate {
+        let authenticator = Authenticator {
             zenoh_key: zenoh_key.clone(),
             from: edge.from.clone(),
             links: Arc::clone(shared.links),
@@ -80,7 +80,7 @@ impl<'a> Receiving<'a> {
         let silence = (!lossless && edge.item.is_short()).then_some(DATAGRAM_TIMEOUT);
         let subscriber = shared.sessions.subscriber(&zenoh_key, silence, move |bytes: ZBytes| {
             let bytes = bytes.to_bytes();
-            if gate.admits(&bytes) {
+            if authenticator.admits(&bytes) {
                 // If the channel has no room, a lossless message is retransmitted, and otherwise only older messages are dropped.
                 sender.send(bytes.into_owned());
             }

@@ -38,8 +38,8 @@ pub(crate) enum Due {
 }
 
 impl Phase {
-    /// The action due at the time `now` in a run that has gone on for `active_time` of its duration `limit`; `delivered` returns the
-    /// progress of the delivery.
+    /// The action due at the time `now` in a run that has gone on for `active_time` of its duration `limit`; `delivered` returns
+    /// the progress of the delivery.
     pub(crate) fn due(
         self,
         now: Instant,

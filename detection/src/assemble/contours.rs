@@ -316,8 +316,8 @@ impl ContourEvidence {
         }
     }
 
-    /// Returns the expectation and covariance of the bias that all objects share, where `further_px` further pixels share the noise
-    /// of one.
+    /// Returns the expectation and covariance of the bias that all objects share, where `further_px` further pixels share the
+    /// noise of one.
     fn bias_of_all(&self, further_px: f64) -> (Vector4<f64>, Matrix4<f64>) {
         combined(self.bias, Vector4::zeros(), prior_covariance(further_px))
     }
@@ -387,8 +387,8 @@ fn prior_covariance(further_px: f64) -> Matrix4<f64> {
     covariance(OFFSET_PX.hypot(WINDOW_OFFSET_PX * further_px), SHARE)
 }
 
-/// Returns the standard deviation of an object's own contour error in pixels, where `further_px` further pixels share the noise of
-/// one.
+/// Returns the standard deviation of an object's own contour error in pixels, where `further_px` further pixels share the noise
+/// of one.
 fn own_sigma_px(further_px: f64) -> f64 {
     SYSTEMATIC_PX + FLATTENED_PX * further_px
 }

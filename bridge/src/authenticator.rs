@@ -1,4 +1,4 @@
-//! The gate between Zenoh and the thread of an incoming edge: lets through the messages that the present session of the other
+//! Stands between Zenoh and the thread of an incoming edge: lets through the messages that the present session of the other
 //! machine's bridge has made, and counts and reports those that are refused.
 
 use crate::peer::counts::{EdgeCounts, MalformedCounter};
@@ -6,16 +6,16 @@ use crate::peer::links::Links;
 use conicflow_dataflow::Edge;
 use std::sync::Arc;
 
-/// Admits the messages that come under the Zenoh key of an edge. It stands before the [`Channel`](super::channel::Channel), so that refused messages take
-/// no room there.
-pub(super) struct Gate {
+/// Admits the messages that come under the Zenoh key of an edge. It stands before the [`Channel`](super::channel::Channel), so
+/// that refused messages take no room there.
+pub(super) struct Authenticator {
     pub zenoh_key: String,
     pub from: String,
     pub links: Arc<Links>,
     pub refusals: Arc<Refusals>,
 }
 
-impl Gate {
+impl Authenticator {
     /// Whether a message was made by the present session of the other machine's bridge. Messages of a session that has not proved
     /// itself yet are dropped without being counted: they come again, or are not wanted yet.
     pub(super) fn admits(&self, bytes: &[u8]) -> bool {
@@ -98,15 +98,15 @@ mod tests {
         let counts = Arc::<EdgeCounts>::default();
         let refusals = Arc::new(Refusals::new(&edge("robot"), Arc::clone(&counts)));
         let (zenoh_key, from) = (ZENOH_KEY.to_owned(), "robot".to_owned());
-        let gate = Gate { zenoh_key, from, links: Arc::clone(&ours), refusals };
+        let authenticator = Authenticator { zenoh_key, from, links: Arc::clone(&ours), refusals };
         let good = sealed(theirs.seal(), ZENOH_KEY);
-        assert!(!gate.admits(&good), "it has not proved to be the present one");
+        assert!(!authenticator.admits(&good), "it has not proved to be the present one");
         assert_eq!(counts.malformed.load(Ordering::Relaxed), 0);
         for _ in 0..2 {
             theirs.send_heartbeat("@robot", News::default(), |bytes| ours.receive_heartbeat("robot", "@robot", &bytes));
             ours.send_heartbeat("@base", News::default(), |bytes| theirs.receive_heartbeat("base", "@base", &bytes));
         }
-        assert!(gate.admits(&good));
+        assert!(authenticator.admits(&good));
         let changed = |at: usize| [&good[..at], &[good[at] ^ 1], &good[at + 1..]].concat();
         let mut refused: Vec<Vec<u8>> = (0..good.len()).map(changed).collect();
         refused.extend([
@@ -116,7 +116,7 @@ mod tests {
             sealed(&Seal::new(None, 5), ZENOH_KEY),
             b"garbage".to_vec(),
         ]);
-        let passed: Vec<_> = refused.iter().filter(|bytes| gate.admits(bytes)).collect();
+        let passed: Vec<_> = refused.iter().filter(|bytes| authenticator.admits(bytes)).collect();
         assert!(passed.is_empty(), "{passed:?}");
         assert_eq!(counts.malformed.load(Ordering::Relaxed), refused.len() as u64);
     }
