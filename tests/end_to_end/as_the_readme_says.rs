@@ -1,6 +1,6 @@
-//! The README, run word for word: the commands of its table by what one has, and the pipeline file for one's own frames. What
-//! builds anything builds it without optimisation, beside what the tests themselves are made of. Tests begin in the order of their
-//! names: these take longest, and are first by theirs.
+//! Runs the commands of the README as they are written: those of its table by what a user has, and the pipeline file for a user's
+//! own frames. Programs are built without optimisation, in the target folder of the tests. Tests start in the order of their
+//! names, and this module's name puts its tests, which take longest, first.
 
 use crate::bridge::link;
 use crate::hosts::Host;
@@ -13,13 +13,13 @@ use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-/// What spares time where a release is built to be tried.
+/// Settings that make a release build fast if it is only tried out.
 const QUICK: [(&str, &str); 2] = [("CARGO_PROFILE_RELEASE_LTO", "off"), ("CARGO_PROFILE_RELEASE_OPT_LEVEL", "0")];
 
 const README: &str = include_str!("../../README.md");
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 
-/// The commands that the table has for who has this.
+/// The commands of the table's row for users who have this.
 fn commands(has: &str) -> Vec<&'static str> {
     let row = README.lines().find(|line| line.starts_with(&format!("| {has}")));
     let cell = row.unwrap_or_else(|| panic!("no row for {has}")).split(" | ").nth(1).unwrap();
@@ -28,7 +28,7 @@ fn commands(has: &str) -> Vec<&'static str> {
     commands
 }
 
-/// The command as a shell runs it that finds the program on its path.
+/// The command in a shell that finds the program on its path.
 fn shell(playground: &Playground, command: &str) -> Command {
     let mut shell = playground.command_of(Path::new("sh"), &["-c", &format!("exec {command}")]);
     let program = Path::new(env!("CARGO_BIN_EXE_conicflow")).parent().unwrap();
@@ -37,7 +37,7 @@ fn shell(playground: &Playground, command: &str) -> Command {
     shell
 }
 
-/// A camera of ten frames of a table, as files.
+/// A playground with ten frames of a table and their camera, as files.
 fn frames() -> Playground {
     let playground = Playground::new();
     playground.record_with_camera(Scene::built_in("tabletop").unwrap().unwrap(), 5, 10);
@@ -76,7 +76,8 @@ fn a_user_with_a_recording_gets_the_objects_in_it() {
     assert_eq!(ended.stdout.lines().count(), 12, "{}", ended.stderr);
 }
 
-/// The address in the command is that of a host without any other, which has a router.
+/// The address in the command is that of a host with a router, which no test may reach. Here the router runs in another network
+/// namespace.
 #[test]
 fn a_user_with_a_ros_robot_reaches_its_router() {
     let Some(host) = Host::new() else { return };
@@ -91,7 +92,8 @@ fn a_user_with_a_ros_robot_reaches_its_router() {
     run.end();
 }
 
-/// Both machines are one host, in runtime folders of their own, as the file stands, but for less time.
+/// Both machines are this host, each with its own runtime folder. The pipeline file is that of the repository, but the run is
+/// shorter.
 #[test]
 fn a_user_with_two_machines_runs_the_halves_of_a_pipeline() {
     let Some(host) = Host::new() else { return };
@@ -107,7 +109,7 @@ fn a_user_with_two_machines_runs_the_halves_of_a_pipeline() {
     assert!(base.stdout.lines().count() > 5, "{}", base.stdout);
 }
 
-/// With a Python that has neither the package nor the SDK; where both are, the tests of the Python package run this.
+/// For a Python that has neither the package nor the SDK. With both, the tests of the Python package cover this command.
 #[test]
 fn a_user_with_a_camera_reads_what_is_missing() {
     let playground = Playground::new();
@@ -118,12 +120,12 @@ fn a_user_with_a_camera_reads_what_is_missing() {
     let mut shell = shell(&playground, command);
     shell.current_dir(ROOT).env_remove("VIRTUAL_ENV");
     let ended = Started::new(shell).wait().expect_code(2);
-    // Of this checkout, or of the package for Debian where that is installed.
+    // The command depends on whether the package is built from this checkout or installed from the Debian package.
     let commands = ["-m pip install \"./python[realsense]\"`", "sudo /opt/conicflow/bin/pip install pyrealsense2`"];
     assert!(commands.iter().any(|command| ended.stderr.contains(command)), "{}", ended.stderr);
 }
 
-/// Whether these programs are there; what was not shown is said where one is not.
+/// Returns whether these programs are installed; otherwise prints that the test is skipped, and why.
 fn has(programs: &[&str], what: &str) -> bool {
     let is_there =
         |program: &&&str| Command::new(program).arg("--version").output().is_ok_and(|output| output.status.success());
@@ -134,7 +136,7 @@ fn has(programs: &[&str], what: &str) -> bool {
     missing.is_empty()
 }
 
-/// The sources in a folder of their own, which stays, so that what is built there is so once.
+/// A copy of the sources in a folder that stays, so that a later run of the tests builds only what has changed.
 fn checkout() -> PathBuf {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("checkout");
     fs::create_dir_all(&folder).unwrap();
@@ -145,7 +147,7 @@ fn checkout() -> PathBuf {
     folder
 }
 
-/// What a shell has done in a folder; it comes well to its end.
+/// Runs a shell script in a folder, and asserts that it succeeds.
 fn done(script: &str, folder: &Path) -> Output {
     let mut shell = Command::new("sh");
     shell.args(["-ec", script]).current_dir(folder).env_remove("CARGO_TARGET_DIR").envs(QUICK);
@@ -174,8 +176,8 @@ fn a_user_with_a_program_in_c_gets_objects_from_the_library() {
     assert!(output.starts_with("sphere at (") && output.contains(" 1.000) m, radius 0.1500 m +- "), "{output}");
 }
 
-/// Makes an environment of its own in `venv`, and has what the package needs come. pip and NumPy are those of PYTHON where it has
-/// them: to unpack both takes longer than to make the package.
+/// Creates the virtual environment `venv`, and installs what the package needs. pip and NumPy are those of PYTHON if it has them:
+/// to unpack both takes longer than to build the package.
 const READY: &str = r#"
 if there=$(PYTHON -c 'import numpy, pip; print(*numpy.__path__, *pip.__path__)'); then
     PYTHON -m venv --without-pip venv
@@ -189,7 +191,7 @@ fi
 pip download --quiet --timeout 20 --retries 1 --no-deps --dest wheels 'maturin>=1.9,<2' || exit 7
 "#;
 
-/// Exit code of [`READY`] where pip cannot install what it needs.
+/// Exit code of [`READY`] if pip cannot install what the package needs.
 const NOT_INSTALLED: i32 = 7;
 
 #[test]
@@ -201,7 +203,7 @@ fn a_user_with_python_installs_the_package_and_finds_objects() {
     }
     let folders = format!("{}:{}", playground.path("venv/bin").display(), std::env::var("PATH").unwrap());
     let wheels = playground.path("wheels");
-    // The tests' own build has left there a part of what the package is made of.
+    // The build of the tests has left a part of the package's dependencies there.
     let target = Path::new(env!("CARGO_TARGET_TMPDIR")).parent().unwrap();
     let run = |script: &str, folder: &Path| {
         let mut shell = Command::new("sh");
@@ -252,7 +254,7 @@ fn a_user_with_python_reads_the_lines_of_json() {
     assert!(ended.stdout.trim().parse::<u32>().unwrap() > 10, "{}", ended.stdout);
 }
 
-/// Unpacked rather than installed, which would change this machine.
+/// The package is unpacked and not installed, so that it does not change this machine.
 #[test]
 fn a_user_with_a_robot_builds_a_debian_package() {
     let what = "that the package for Debian and Ubuntu is made and works";

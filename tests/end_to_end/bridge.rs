@@ -1,4 +1,4 @@
-//! One pipeline on two machines: two launchers on this host, each with a runtime folder of its own, joined over loopback.
+//! One pipeline on two machines: two launchers on this host, each with its own runtime folder, joined over loopback.
 
 pub use crate::loopback::loopback;
 
@@ -10,11 +10,11 @@ use serde_json::Value as Json;
 use std::process::Command;
 use std::time::Duration;
 
-/// Where the stages of [`TRACKING`] are, unless a test says otherwise.
+/// Machine of each stage of [`TRACKING`] in most tests.
 pub const HALVES: [(&str, &str); 5] =
     [("source", "robot"), ("extractor", "robot"), ("assembler", "base"), ("tracker", "base"), ("json", "base")];
 
-/// The stages of `text` on these machines.
+/// Adds to `text` the machine of each stage.
 pub fn placed(text: &str, places: &[(&str, &str)]) -> String {
     places.iter().fold(text.to_owned(), |text, (stage, machine)| {
         let title = format!("[stage.{stage}]\n");
@@ -23,43 +23,43 @@ pub fn placed(text: &str, places: &[(&str, &str)]) -> String {
     })
 }
 
-/// The same, where `robot` listens at an endpoint and `base` connects to one.
+/// Adds the machines of the stages to `text`. `robot` listens at an endpoint, and `base` connects to it.
 pub fn joined(text: &str, places: &[(&str, &str)], listen: &str, connect: &str) -> String {
     let text = placed(text, places);
     format!("{text}\n[machine.robot]\nlisten = [\"{listen}\"]\n[machine.base]\nconnect = [\"{connect}\"]\n")
 }
 
-/// [`TRACKING`] with its source and extractor on `robot`, the others on `base`.
+/// [`TRACKING`] with its source and extractor on `robot`, and the other stages on `base`.
 pub fn apart(listen: &str, connect: &str) -> String {
     joined(TRACKING, &HALVES, listen, connect)
 }
 
-/// [`FINDING`] with its sink on `base`, the others on `robot`.
+/// [`FINDING`] with its sink on `base`, and the other stages on `robot`.
 pub fn finding_apart(endpoint: &str) -> String {
     joined(FINDING, &[("source", "robot"), ("extractor", "robot"), ("json", "base")], endpoint, endpoint)
 }
 
-/// Two machines with the same file.
+/// Two machines with the same pipeline file.
 pub fn machines(text: &str) -> [Playground; 2] {
     [Playground::with_pipeline(text), Playground::with_pipeline(text)]
 }
 
-/// The frames per second of live sources: so few that even a host with much else to do works on each of them.
+/// Rate of live sources in hertz, so low that even a busy host processes each frame.
 pub const LIVE_RATE_HZ: f64 = 20.0;
 
-/// The pipeline with a source of that rate and inputs that want the newest only.
+/// Changes a pipeline to a live source of [`LIVE_RATE_HZ`] and inputs with `latest`.
 pub fn live(text: &str) -> String {
     text.replace(", delivery = \"lossless\"", "").replace("rate_hz    = 0", &format!("rate_hz = {LIVE_RATE_HZ}"))
 }
 
-/// Two machines, joined over loopback, of which each wants the newest only.
+/// Two machines, joined over loopback, with a live pipeline.
 fn live_machines() -> [Playground; 2] {
     let endpoint = loopback();
     machines(&live(&apart(&endpoint, &endpoint)))
 }
 
-/// Makes sure that a stage of the robot worked on nearly every frame, whatever was wrong with what is joined to the robot:
-/// whoever waits for that loses all frames meanwhile.
+/// Asserts that a stage of the robot processed nearly every frame although another machine had a fault. A stage that waits for
+/// that machine would lose all frames in that time.
 pub fn expect_unfelt(row: &InputRow) {
     assert!(row.dropped <= row.received / 4, "the robot felt it: {row:?}");
 }
@@ -68,19 +68,19 @@ pub fn start(machine: &Playground, name: &str) -> Started {
     machine.start(&["run", "--machine", name])
 }
 
-/// What the tracks say, without the times that it took.
+/// The tracks of a playground, without times of processing.
 pub fn tracks(playground: &Playground) -> Vec<Json> {
     without_times(playground, "tracks.jsonl")
 }
 
-/// The lines of a file of JSON objects, without the times that it took.
+/// The lines of a file of JSON objects, without times of processing.
 pub fn without_times(playground: &Playground, file: &str) -> Vec<Json> {
     let mut lines = playground.json_lines(file);
     lines.iter_mut().for_each(|line| drop(line.as_object_mut().unwrap().remove("latency_ms")));
     lines
 }
 
-/// The row of the summary that tells of a link: messages, lost, resent.
+/// Row of a link in the summary: messages, lost, resent.
 pub fn link(ended: &Ended, machine: &str, topic: &str) -> [u64; 3] {
     let rows = ended.stderr.lines().map(|line| line.split_whitespace().collect::<Vec<_>>());
     let row = rows.into_iter().find(|words| words.len() > 9 && words[..2] == [machine, topic]);
@@ -88,13 +88,13 @@ pub fn link(ended: &Ended, machine: &str, topic: &str) -> [u64; 3] {
     [3, 6, 7].map(|index| words[index].parse().unwrap())
 }
 
-/// The process of a stage.
+/// Process of a stage.
 pub fn process_of(playground: &Playground, stage: &str) -> Option<u32> {
     let of_stage = |process: &u32| environment(*process, "CONICFLOW_STAGE").as_deref() == Some(stage);
     playground.processes().into_iter().find(of_stage)
 }
 
-/// Kills the process of a stage, and waits until its successor runs.
+/// Kills the process of a stage, and waits until the next one runs.
 pub fn kill(playground: &Playground, stage: &str) {
     let process = process_of(playground, stage).unwrap();
     signal(process, Signal::KILL);
@@ -105,13 +105,13 @@ pub fn newest(playground: &Playground) -> u64 {
     playground.newest("tracks.jsonl")
 }
 
-/// Waits until so many frames more have come through to the base.
+/// Waits until this number of further frames has arrived at the base.
 pub fn wait_for_frames(run: &mut Started, base: &Playground, frames: u64) {
     let before = newest(base);
     run.wait_until("tracks go on", || newest(base) > before + frames);
 }
 
-/// Ends both and makes sure that nothing is left behind.
+/// Ends both runs, and asserts that nothing is left behind.
 fn end(runs: [Started; 2], machines: &[Playground; 2]) {
     drop(runs.map(Started::end));
     machines.iter().for_each(|machine| wait_until("no process is left", || machine.processes().is_empty()));
@@ -147,7 +147,7 @@ fn messages_of_another_machine_are_listed_under_their_topic() {
     runs[1].wait_until("tracks arrive", || newest(&machines[1]) > 20);
     let topic_output =
         |arguments: &[&str]| machines[1].conicflow(&[&["topic"], arguments].concat()).expect_code(0).stdout;
-    // Rates are those of the last second, in which a busy host may have carried nothing.
+    // The rate is that of the last second, in which a busy host may have sent nothing.
     runs[1].wait_until("the list tells its rate", || {
         let list = topic_output(&["list"]);
         let row = list.lines().find(|line| line.starts_with("ellipses ")).unwrap_or_else(|| panic!("{list}"));
@@ -191,7 +191,7 @@ fn a_machine_that_is_killed_and_restarted_gets_new_messages_and_the_other_is_not
     machines.iter().for_each(|machine| assert!(machine.processes().is_empty()));
 }
 
-/// Two machines, joined over loopback by a lossless edge, whose source goes on for ever.
+/// Two machines, joined over loopback by a lossless edge, with a source that runs without an end.
 fn lossless_machines() -> [Playground; 2] {
     let endpoint = loopback();
     machines(&apart(&endpoint, &endpoint).replace("rate_hz    = 0", &format!("rate_hz = {LIVE_RATE_HZ}")))
@@ -258,13 +258,13 @@ fn the_stages_of_two_machines_may_be_started_one_by_one() {
     runs.into_iter().for_each(|run| drop(run.wait().expect_code(0)));
 }
 
-/// Kills the bridge of one of two machines again and again while lossless edges carry frames as fast as they can; the number
-/// of frames that the base has missed.
+/// Kills the bridge of one of two machines repeatedly while lossless edges transfer frames at full speed. Returns the number of
+/// frames that the base has missed.
 fn kill_the_bridge_of(killed: usize) -> u64 {
     let endpoint = loopback();
     let machines = machines(&finding_apart(&endpoint));
     let mut runs = [start(&machines[0], "robot"), start(&machines[1], "base")];
-    // More than an outbox and the queues behind it hold: frames that are sent after the kill.
+    // More frames than the outbox and the queues after it hold, so that some of them were sent after the kill.
     let mut go_on = || wait_for_frames(&mut runs[1], &machines[1], 100);
     for _ in 0..3 {
         go_on();
@@ -307,7 +307,7 @@ fn messages_that_wait_for_a_machine_are_not_lost_when_the_sending_bridge_is_kill
     assert!(sequences.iter().copied().eq(0..FRAMES), "{sequences:?}: {}", ended.stderr);
 }
 
-/// Whoever is killed while the last messages and the ends are on their way, and whatever of that has arrived by then.
+/// Kills a bridge while the last messages and the ends of streams are in transit, at different moments.
 #[test]
 fn a_bridge_that_is_killed_at_the_end_of_a_run_loses_nothing_and_keeps_nobody_waiting() {
     const FRAMES: u64 = 10;
@@ -324,7 +324,7 @@ fn a_bridge_that_is_killed_at_the_end_of_a_run_loses_nothing_and_keeps_nobody_wa
         let process = process_of(&machines[killed], "bridge");
         if let Some(process) = process.filter(|_| still) {
             signal(process, Signal::STOP);
-            // The other one has nobody to talk to meanwhile.
+            // The other bridge has no peer in this time.
             std::thread::sleep(Duration::from_secs(1));
         }
         process.into_iter().for_each(|process| signal(process, Signal::KILL));
@@ -335,7 +335,7 @@ fn a_bridge_that_is_killed_at_the_end_of_a_run_loses_nothing_and_keeps_nobody_wa
     }
 }
 
-/// A stage is held up for longer than a bridge waits for readers that have ended.
+/// A stage is stopped for longer than a bridge waits for readers that have ended.
 #[test]
 fn a_reader_that_is_stopped_for_long_misses_nothing() {
     const FRAMES: u64 = 200;
@@ -354,7 +354,7 @@ fn a_reader_that_is_stopped_for_long_misses_nothing() {
     assert!(sequences.iter().copied().eq(0..FRAMES), "{sequences:?}: {}", ended[1].stderr);
 }
 
-/// The end was acknowledged, so that the other machine has left: whoever is started anew hears of it all the same.
+/// The end of the stream was acknowledged, and the other machine has left. Restarted processes nevertheless learn of the end.
 #[test]
 fn a_run_ends_although_a_reader_and_the_bridge_that_heard_the_end_are_killed() {
     let endpoint = loopback();
@@ -365,7 +365,7 @@ fn a_run_ends_although_a_reader_and_the_bridge_that_heard_the_end_are_killed() {
     base_run.wait_until("all are at work", || {
         ["bridge", "assembler", "tracker"].iter().all(|stage| process_of(&base, stage).is_some())
     });
-    // It keeps the assembler from ending, and that the bridge.
+    // The stopped tracker keeps the assembler from ending, and the assembler keeps the bridge from ending.
     let tracker = process_of(&base, "tracker").unwrap();
     signal(tracker, Signal::STOP);
     start(&robot, "robot").wait().expect_code(0);
@@ -390,7 +390,7 @@ fn a_python_program_reads_objects_by_their_key() {
         script.args([&endpoint, "tracking", "robot", "objects"]);
         script
     });
-    // Until there is a base the robot keeps what it has made.
+    // The robot keeps its messages until the base exists.
     script.wait_for_text("listening");
     let base_run = start(&base, "base");
     let printed = script.wait().expect_code(0).stdout;
@@ -412,7 +412,7 @@ fn a_python_program_reads_objects_by_their_key() {
     }
 }
 
-/// What `top` shows of the only link of a machine.
+/// Output of `top` for the only link of a machine.
 pub fn top_link(machine: &Playground) -> Json {
     machine.top()["links"][0].clone()
 }
@@ -443,7 +443,7 @@ fn top_shows_each_link() {
     assert!(top_link(base)["state_s"].as_f64() > before["state_s"].as_f64(), "{before}");
     let mut runs = [start(robot, "robot"), base_run];
     runs[1].wait_until("tracks arrive", || newest(base) > 20);
-    // Rates are those of the last second, in which a busy host may have carried nothing.
+    // The rate is that of the last second, in which a busy host may have sent nothing.
     let mut shown = Json::Null;
     runs[1].wait_until("the link is up and carries", || {
         shown = top_link(base);
@@ -452,7 +452,7 @@ fn top_shows_each_link() {
         let carried = edge["messages"].as_u64() > Some(10) && edge["wire_bytes"].as_u64() > Some(1000);
         shown["state"] == "up" && carried && figures.iter().all(|figure| *figure > Some(0.0))
     });
-    // Both clocks are this host's; half of the way there and back is what an offset may be wrong by.
+    // Both clocks are those of this host. The offset may be wrong by half of the round trip.
     let [offset_s, round_trip_ms] = ["clock_offset_s", "round_trip_ms"].map(|figure| shown[figure].as_f64().unwrap());
     assert!(offset_s.abs() <= round_trip_ms / 2e3 + 1e-3, "{shown}");
     let edge = &shown["edges"][0];
@@ -460,7 +460,7 @@ fn top_shows_each_link() {
     assert_eq!(edge["malformed"].as_u64(), Some(0), "{shown}");
     assert!(edge["lost"].is_u64() && edge["stale"].is_u64() && edge["resent"].is_u64(), "{shown}");
     let [robot_run, base_run] = runs;
-    // What is killed does not say goodbye.
+    // A killed launcher does not announce its end.
     signal(robot_run.id(), Signal::KILL);
     drop(robot_run);
     wait_for_link(base, "unreachable");

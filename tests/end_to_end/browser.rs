@@ -1,5 +1,5 @@
-//! The page in real browsers, Chromium and Firefox. Where one is missing the tests say so. `CONICFLOW_PICTURES` names a folder
-//! for pictures of what was seen.
+//! Opens the page in Chromium and in Firefox; a test prints which of the two is missing. `CONICFLOW_PICTURES` names a folder for
+//! screenshots.
 
 use crate::compare::{PAPER, simulated};
 use crate::support::{Playground, TRACKING, wait_until};
@@ -7,14 +7,14 @@ use crate::view::{Page, recording};
 use crate::webdriver::{Browser, in_each_browser};
 use serde_json::Value as Json;
 
-/// A run that goes on until it is ended, at a pace that leaves a browser without a graphics card time for other things.
+/// A run without an end, at a rate that a browser without a graphics card can follow.
 const PACED: [&str; 3] = ["run", "--set", "source.rate_hz=10"];
-/// How many different colours an image has that was drawn on the page.
+/// Number of different colours of an image on the page.
 const COLOURS: &str = "(() => { const c = document.getElementById('image'); \
     const d = new Uint32Array(c.getContext('2d').getImageData(0, 0, c.width, c.height).data.buffer); \
     return new Set(d).size > 50; })()";
 
-/// Each browser is started once: that takes longer than most of what is seen.
+/// Starts each browser once, because that takes longer than most of the checks.
 #[test]
 fn each_browser_shows_runs_recordings_and_variants() {
     in_each_browser(1000, 700, |browser| {

@@ -1,4 +1,4 @@
-//! Who gets in where links are TLS: certificates of one authority, and of those only the ones on the list.
+//! Access to links with TLS: only machines with a certificate of the authority and a name on the list may connect.
 
 use super::bridge::{self, apart, loopback, machines, newest, start, top_link, wait_for_frames};
 use super::routers::session;
@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use zenoh::Wait;
 
-/// The file of both machines, live, joined by TLS with the settings in `tls/`.
+/// The live pipeline file of both machines, joined by TLS with the settings in `tls/`.
 fn live_text(endpoint: &str) -> String {
     bridge::live(&apart(endpoint, endpoint))
         .replace("[machine.robot]\n", "[machine.robot]\nzenoh = \"tls/robot.json5\"\n")
@@ -21,8 +21,8 @@ fn live(endpoint: &str) -> [Playground; 2] {
     machines(&live_text(endpoint))
 }
 
-/// Makes an authority in a folder, and certificates for these machines at this address; false, said loudly, where that
-/// cannot be done.
+/// Creates an authority in a folder, and certificates for these machines at this address. If that is impossible, prints that the
+/// test is skipped, and returns `false`.
 pub fn make_certificates(folder: &Path, names: &[&str], address: &str) -> bool {
     let mut script = Command::new(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/tls/certificates.sh"));
     script.arg(folder).args(names.iter().map(|name| format!("{name}={address}")));
@@ -33,7 +33,7 @@ pub fn make_certificates(folder: &Path, names: &[&str], address: &str) -> bool {
     made
 }
 
-/// Gives the base its own from the folder of the robot, where all were made.
+/// Copies the files of the base from the folder of the robot, in which all were created.
 pub fn hand_over(robot: &Playground, base: &Playground) {
     std::fs::create_dir_all(base.path("tls")).unwrap();
     for file in ["tls/base.json5", "tls/base.key", "tls/base.pem", "tls/ca.pem"] {
@@ -45,7 +45,7 @@ fn tls_loopback() -> String {
     loopback().replace("tcp/127.0.0.1", "tls/localhost")
 }
 
-/// Makes the certificate of a machine anew, for this time, by the authority in a folder.
+/// Renews the certificate of a machine with this validity, signed by the authority in a folder.
 fn make_for_time(folder: &Path, name: &str, [from, until]: [&str; 2]) {
     const AUTHORITY: &str = "[ca]\ndefault_ca=own\n[own]\ndatabase=index.txt\nrand_serial=yes\nnew_certs_dir=.\n\
                              default_md=sha256\npolicy=any\nx509_extensions=all\nunique_subject=no\n\
@@ -116,7 +116,7 @@ fn only_a_machine_with_the_right_certificate_connects_and_both_sides_report_why_
     robot_run.end();
 }
 
-/// What is wrong with the certificate of who listens, the others find out.
+/// The machines that connect detect a faulty certificate of the machine that listens.
 #[test]
 fn a_listening_machine_with_an_expired_certificate_is_refused_and_both_sides_report_it() {
     let endpoint = tls_loopback();
@@ -153,7 +153,7 @@ fn faults_of_the_machines_own_certificate_are_reported_before_the_run_and_do_not
     assert!(is_reported(&warned.stdout, "warning"), "{}", warned.stdout);
     let found = robot.conicflow(&["doctor", "--machine", "robot"]).expect_code(1);
     assert!(is_reported(&found.stdout, "problem"), "{}", found.stdout);
-    // The clock may come right while it runs.
+    // The clock may be set right while the machine runs.
     let mut run = start(&robot, "robot");
     run.wait_until("it works", || robot.top()["stages"][0]["messages"].as_u64() > Some(10));
     let ended = run.end();
@@ -184,7 +184,7 @@ fn datagrams_may_be_encrypted_too() {
     drop(runs.map(Started::end));
 }
 
-/// Somebody with a certificate of the authority, who reads and writes what is not theirs.
+/// A machine with a valid certificate of the authority that reads and writes other machines' messages.
 struct Guest {
     session: zenoh::Session,
     received: Arc<AtomicU64>,
@@ -214,7 +214,7 @@ impl Guest {
         Self { session, received, _subscribers: subscribers }
     }
 
-    /// Claims to be the base, of another version.
+    /// Sends heartbeats as the base, with another version.
     fn lie(&self) {
         self.session.put("conicflow/tracking/@link/base", b"CFLO\x63\x00".as_slice()).wait().unwrap();
     }
@@ -229,7 +229,7 @@ fn a_machine_outside_the_access_list_can_neither_read_nor_write() {
     if !make_certificates(&folder, &["robot", "base", "guest"], "localhost") {
         return;
     }
-    // Keys have an `@` of their own.
+    // The keys contain an `@`, so the placeholder is another character.
     let exchanged = EXAMPLE.replace("robot", "%").replace("base", "robot").replace('%', "base");
     hand_over(&robot, &base);
     for listed in [false, true] {

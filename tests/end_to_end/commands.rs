@@ -1,4 +1,4 @@
-//! The commands that start nothing: `graph`, `nodes`, help; and what wrong arguments are told.
+//! The commands that start no run (`graph`, `nodes`, help), and the errors for wrong arguments.
 
 use crate::support::{Playground, Started, TRACKING, python_with};
 use conicflow_nodes::NODES;
@@ -59,7 +59,7 @@ fn all_nodes_are_listed() {
     assert!(rows.iter().all(|(_, summary)| summary.trim().len() > 10), "one has no summary: {}", ended.stdout);
 }
 
-/// The parameters in the text of `conicflow nodes NAME`: name, default and description.
+/// The parameters in the output of `conicflow nodes NAME`: name, default and description.
 fn parameters<'a>(text: &'a str) -> Vec<(&'a str, &'a str, &'a str)> {
     let paragraphs = text.split("\n\n").filter(|paragraph| !paragraph.starts_with("input"));
     let split = |paragraph: &'a str| {
@@ -147,8 +147,7 @@ fn wrong_arguments_are_refused() {
     }
 }
 
-/// What was begun and could not be printed, since the disk is full, is no fault of the arguments; that nobody reads on is
-/// no fault at all.
+/// A full disk behind standard output is an error, but not one of the arguments. A closed standard output is no error.
 #[test]
 fn a_closed_or_full_output_ends_a_command() {
     let playground = Playground::new();
@@ -223,7 +222,7 @@ fn a_shell_and_man_know_every_command() {
     playground.conicflow(&["completions", "cmd"]).expect_code(2);
 }
 
-/// Editors are told what is wrong by validators that others wrote; this is one.
+/// Editors check the file with JSON Schema validators of others; this test uses one of them.
 #[test]
 fn another_validator_names_the_fault() {
     let lacks = "has no jsonschema, or is older than 3.11; what it tells of a pipeline file is not shown";

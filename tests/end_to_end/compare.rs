@@ -7,7 +7,7 @@ use rustix::process::Signal;
 use serde_json::{Value as Json, json};
 use std::fs;
 
-/// A simulated tabletop, whose sinks must not run, and stages that take only what is newest.
+/// A simulated table. Its sinks must not run in a comparison, and its stages have inputs with `latest`.
 pub fn simulated() -> String {
     tracking_behind(TABLETOP, "latest")
 }
@@ -21,7 +21,7 @@ rate_hz = 0
 frames  = 8
 "#;
 
-/// The paper's way, which each of the tests can name.
+/// The settings of the paper's way.
 pub const PAPER: [&str; 3] = ["extractor.arcs=conic", "extractor.scan=rows", "assembler.method=profile"];
 
 fn compared(playground: &Playground, arguments: &[&str]) -> Json {
@@ -29,7 +29,7 @@ fn compared(playground: &Playground, arguments: &[&str]) -> Json {
     serde_json::from_str(&ended.stdout).unwrap_or_else(|error| panic!("{error}: {}", ended.stdout))
 }
 
-/// Objects of all kinds in one column of what was found.
+/// Sum of a column over all kinds of objects.
 fn sum(compared: &Json, column: &str) -> u64 {
     compared["found"].as_object().unwrap().values().map(|counts| counts[column].as_u64().unwrap()).sum()
 }

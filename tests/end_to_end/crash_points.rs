@@ -18,24 +18,24 @@ use std::process::Command;
 use std::sync::mpsc::channel;
 
 const POINTS: &str = "CONICFLOW_CRASH_POINTS";
-/// How many calls of each process it is killed before.
+/// Number of calls of each process before which the test kills it.
 const DEFAULT_POINTS: usize = 4;
-/// A run of so many frames.
+/// Number of frames of a run.
 const FRAMES: u64 = 20;
 const RUN: [&str; 5] = ["run", "--frames", "20", "--set", "source.rate_hz=100"];
 
-/// A stop of a traced thread is one before or after a call.
+/// Signal with which `ptrace` reports that a thread has stopped before or after a system call.
 const CALL: i32 = libc::SIGTRAP | 0x80;
 
-/// A run whose processes are traced, on their way to the one that is killed.
+/// Traces the processes of a run, and kills one of them.
 #[derive(Default)]
 struct Tracer {
     launcher: i32,
-    /// The stage that is watched; the launcher if none.
+    /// The stage to kill; the launcher if `None`.
     stage: Option<&'static str>,
-    /// Before which of its calls it is killed.
+    /// Index of the call before which it is killed.
     point: Option<usize>,
-    /// The process that is watched, once it is there, and how many calls it has made.
+    /// The process to kill, once it exists, and the number of calls that it has made.
     watched: Option<i32>,
     calls: usize,
     /// The process of each thread.
@@ -43,25 +43,27 @@ struct Tracer {
 }
 
 fn ptrace(request: u32, thread: i32, address: usize, data: usize) -> c_long {
-    // SAFETY: the callers' requests write nothing here but what `data` points to, which is as large as `address` says.
+    // SAFETY: with the requests of the callers, the system writes only to `data`, which points to as many bytes as `address`
+    // says.
     unsafe { libc::ptrace(request, thread, address as *mut c_void, data as *mut c_void) }
 }
 
-/// The number and the arguments of the call that a thread stands before, if it does not stand after one.
+/// Returns the number and the arguments of the system call before which a thread has stopped; `None` if it has stopped after a
+/// call.
 fn call_before(thread: i32) -> Option<(c_long, [u64; 6])> {
-    // SAFETY: it consists of numbers.
+    // SAFETY: the struct consists of integers, for which zero is valid.
     let mut about: libc::ptrace_syscall_info = unsafe { std::mem::zeroed() };
     let size = size_of_val(&about);
     ptrace(libc::PTRACE_GET_SYSCALL_INFO, thread, size, (&raw mut about).addr());
     if about.op != libc::PTRACE_SYSCALL_INFO_ENTRY {
         return None;
     }
-    // SAFETY: this is what it is before a call.
+    // SAFETY: `op` says that this member of the union was written.
     let entry = unsafe { about.u.entry };
     Some((entry.nr as c_long, entry.args))
 }
 
-/// Whether a call makes, shows or removes something that processes share.
+/// Returns whether a system call creates, publishes or removes a resource that processes share.
 fn shares((number, arguments): (c_long, [u64; 6])) -> bool {
     let has = |argument: usize, flag: i32| arguments[argument] & flag as u64 != 0;
     #[cfg(target_arch = "x86_64")]
@@ -82,14 +84,14 @@ fn shares((number, arguments): (c_long, [u64; 6])) -> bool {
 }
 
 impl Tracer {
-    /// Runs the launcher until it, and all that it has started, are gone; its exit code, if it ended by itself.
+    /// Runs the launcher until it and all processes that it has started are gone. Returns its exit code, if it was not killed.
     fn run(&mut self, mut launcher: Command) -> io::Result<Option<i32>> {
         let begin = || if ptrace(libc::PTRACE_TRACEME, 0, 0, 0) < 0 { Err(io::Error::last_os_error()) } else { Ok(()) };
-        // SAFETY: it is a call to the system alone.
+        // SAFETY: `begin` makes only a system call, which is safe after a fork.
         self.launcher = unsafe { launcher.pre_exec(begin) }.spawn()?.id().cast_signed();
         let (mut code, mut status) = (None, 0);
         loop {
-            // SAFETY: it writes the one number.
+            // SAFETY: the system writes only to `status`.
             let thread = unsafe { libc::waitpid(-1, &raw mut status, libc::__WALL | libc::__WNOTHREAD) };
             if thread < 0 {
                 return Ok(code);
@@ -101,9 +103,9 @@ impl Tracer {
         }
     }
 
-    /// Lets a thread go on that stands; kills its process where that has come to the point.
+    /// Continues a stopped thread; kills its process if this is the call to kill it at.
     fn go_on(&mut self, thread: i32, status: i32) {
-        // What it is told by the tracing alone is no signal of its own.
+        // Signals that come from the tracing are not passed on.
         let (mut passed_on, event) = (libc::WSTOPSIG(status), status >> 16);
         if !self.processes.contains_key(&thread) {
             self.begin(thread);
@@ -128,7 +130,7 @@ impl Tracer {
         ptrace(request, thread, 0, passed_on.cast_unsigned() as usize);
     }
 
-    /// A thread, or a process, that stands for the first time: the launcher has just become its program.
+    /// Handles the first stop of a thread or process. The first one of all is the launcher after its `exec`.
     fn begin(&mut self, thread: i32) {
         if thread == self.launcher {
             let options = libc::PTRACE_O_TRACEFORK | libc::PTRACE_O_TRACEVFORK | libc::PTRACE_O_TRACECLONE;
@@ -141,14 +143,14 @@ impl Tracer {
     }
 }
 
-/// The process of a thread.
+/// Returns the process of a thread.
 fn process_of(thread: i32) -> Option<i32> {
     let status = fs::read_to_string(format!("/proc/{thread}/status")).ok()?;
     status.lines().find_map(|line| line.strip_prefix("Tgid:")?.trim().parse().ok())
 }
 
-/// Runs `conicflow` with these arguments to the end of a run, in which the launcher, or the first process of a stage, is killed
-/// before one of its calls; with how many calls that made. `None`: this system lets nobody trace.
+/// Runs `conicflow` with these arguments to the end of the run, and kills the launcher or the first process of a stage before one
+/// of its calls. Returns how the run ended and the number of calls; `None` if this system does not permit tracing.
 fn traced(
     playground: &Playground,
     arguments: &[&str],
@@ -161,7 +163,7 @@ fn traced(
     let mut tracer = Tracer { stage, point, ..Tracer::default() };
     let (over, is_over) = channel();
     let ran = std::thread::scope(|scope| {
-        // A thread of its own has no other children.
+        // The tracing thread has no children except the traced ones.
         let tracing = scope.spawn(|| {
             let ran = tracer.run(command);
             over.send(()).unwrap();
@@ -180,8 +182,8 @@ fn traced(
     Some((Ended { code, stdout, stderr }, tracer.calls))
 }
 
-/// Kills the launcher, or the first process of a stage, before some of its calls, each time in another run of `run`, which is told
-/// before which one, and tells how many that made; of `None` it kills nobody.
+/// Kills the launcher or the first process of a stage before some of its calls, each in another run. `run` gets the index of the
+/// call, or `None` to kill nothing, and returns the number of calls.
 fn kill_at_points(who: &str, mut run: impl FnMut(Option<usize>) -> Option<usize>) {
     let points = std::env::var(POINTS).map_or(DEFAULT_POINTS, |text| text.parse().unwrap());
     let Some(calls) = run(None) else {

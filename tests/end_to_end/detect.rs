@@ -1,4 +1,4 @@
-//! `conicflow detect`: one command on recorded frames, beside the pipeline on the same.
+//! `conicflow detect`: one command on recorded frames, compared with the pipeline on the same frames.
 
 use crate::support::{Playground, RECORDING, read_png};
 use conicflow_lab::simulator::scene::Scene;
@@ -6,18 +6,18 @@ use rustix::fs::{CWD, Mode, mkfifoat};
 use serde_json::Value as Json;
 use std::fs;
 
-/// Writes frames of a built-in scene down with their camera, and returns what `--camera` has to say.
+/// Writes frames of a built-in scene with their camera. Returns the argument of `--camera`.
 fn record(playground: &Playground, frames: u64) -> String {
     record_scene(playground, "tabletop", frames)
 }
 
-/// The same of another scene.
+/// Like [`record`], of another scene.
 fn record_scene(playground: &Playground, scene: &str, frames: u64) -> String {
     let camera = playground.record_with_camera(Scene::built_in(scene).unwrap().unwrap(), 5, frames);
     format!("{},{},{},{}", camera.fx, camera.fy, camera.cx, camera.cy)
 }
 
-/// Lines of JSON without what differs from run to run.
+/// Lines of JSON without the values that differ from run to run.
 fn results(text: &str) -> Vec<Json> {
     let line = |line: &str| {
         let mut line: Json = serde_json::from_str(line).unwrap();
@@ -36,7 +36,7 @@ fn detect_finds_what_the_pipeline_finds_bit_for_bit() {
     let ended = playground.conicflow(&["detect", "frames", "--camera", &camera]).expect_code(0);
     let detected = results(&ended.stdout);
     assert_eq!(detected.len(), 12);
-    // The stamps follow `rate_hz`; of what nobody paces they are those of 30 frames per second in both.
+    // The stamps follow `rate_hz`. Without a rate, both commands use 30 frames per second.
     assert_eq!(detected, piped);
     let printed = playground.conicflow(&["detect", "frames", "--camera", &camera, "--out", "-"]).expect_code(0);
     assert_eq!(results(&printed.stdout), detected);

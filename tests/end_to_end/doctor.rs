@@ -1,5 +1,5 @@
-//! What `doctor` finds and removes, and that a run does not begin where it could not go on. Most of it needs a /dev/shm of
-//! its own, and so root, `unshare` and `nsenter`; where they are missing each test says so and shows nothing.
+//! Checks what `doctor` finds and removes, and that a run does not start on a machine on which it could not continue. Most tests
+//! need their own /dev/shm, and for that root, `unshare` and `nsenter`; without these they print that they are skipped.
 
 use super::bridge::{apart, loopback};
 use super::own_memory::OwnSharedMemory;
@@ -13,7 +13,7 @@ use std::os::unix::fs::{PermissionsExt, chown};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-/// Kills a run and all its stages at once: none of them can clean up after the others.
+/// Kills a run and all its stages at once, so that none of them can clean up after the others.
 fn kill_all(run: Started) {
     let mut processes: Vec<_> = stages_of(run.id()).into_values().collect();
     assert_eq!(processes.len(), 5);
@@ -29,12 +29,12 @@ fn kill_all(run: Started) {
     wait_until("all are gone", || processes.iter().all(|process| parent(*process).is_none()));
 }
 
-/// A playground for the usual pipeline, for runs that see a /dev/shm of their own.
+/// A playground with the usual pipeline, for runs with their own /dev/shm.
 fn tracking() -> Playground {
     Playground::outside_shared_memory().and_pipeline(TRACKING)
 }
 
-/// A run in the middle of its work.
+/// A run that delivers.
 fn working(memory: &OwnSharedMemory, playground: &Playground) -> Started {
     let mut run = memory.start(playground, &["run", "--set", "source.rate_hz=50"]);
     wait_for_lines(&mut run, playground);
@@ -74,7 +74,7 @@ fn remains_that_no_run_would_find_are_removed_and_files_of_live_runs_are_not() {
     kill_all(working(&memory, &dead));
     let left = memory.files();
     let mut run = working(&memory, &living);
-    // Only now: a folder made later could get its number, and with it its files.
+    // Removed only now: another folder that is created later could get its number, and so its files.
     fs::remove_dir_all(dead.runtime()).unwrap();
     memory.age();
     File::create(memory.folder().join("iox2_of_another_program.data")).unwrap();
@@ -131,7 +131,7 @@ fn a_run_for_which_shared_memory_is_just_large_enough_works() {
     assert_eq!(playground.sequences("tracks.jsonl").len(), 30);
 }
 
-/// Runs `conicflow` as one whose shell said something first.
+/// Runs `conicflow` in a shell, after another command.
 fn after(playground: &Playground, command_before: &str, arguments: &[&str]) -> Ended {
     let program = playground.command(&[]).get_program().to_owned();
     let mut shell = Command::new("sh");
@@ -146,7 +146,7 @@ fn a_run_that_would_need_more_open_files_than_it_may_have_does_not_begin() {
     let ended = after(&playground, "ulimit -n 40", &["run", "--frames", "3"]).expect_code(2);
     assert!(ended.stderr.starts_with("error: a process may have 40 files open, one of"), "{}", ended.stderr);
     ended.expect_texts(&["\n  hint: `ulimit -n "]);
-    // With these it cannot even look into shared memory.
+    // With so few open files it cannot even open shared memory.
     let ended = after(&playground, "ulimit -n 10", &["run", "--frames", "3"]).expect_code(2);
     assert!(ended.stderr.starts_with("error: a process may have 10 files open, one of"), "{}", ended.stderr);
     let found = after(&playground, "ulimit -n 40", &["doctor"]).expect_code(1);
@@ -164,7 +164,7 @@ fn a_port_that_is_taken_is_reported_with_the_machine_that_needs_it() {
     let found = playground.conicflow(&["doctor", "--machine", "base"]);
     assert!(!found.stdout.contains("cannot listen"), "{}", found.stdout);
     drop(holder);
-    // The processes that other tests start have a copy of it until they are other programs.
+    // Processes that other tests start hold a copy of the listening socket between their `fork` and `exec`.
     wait_until("it is free", || !playground.conicflow(&["doctor"]).stdout.contains("cannot listen"));
 }
 
@@ -199,7 +199,7 @@ fn a_runtime_folder_without_write_permission_is_reported() {
         let inner = playground.command(&arguments);
         let mut command = Command::new("setpriv");
         command.args(["--reuid=65534", "--regid=65534", "--clear-groups"]).arg(inner.get_program()).args(arguments);
-        // The file would lie where this user cannot enter; the built-in pipeline does as well.
+        // The file of the playground would be in a folder that this user cannot enter, so the built-in pipeline is used.
         command.current_dir("/").env("CONICFLOW_RUNTIME_DIR", playground.runtime().join("folder")).stdin(Stdio::null());
         if !geteuid().is_root() || Command::new("setpriv").arg("--version").output().is_err() {
             eprintln!("SKIPPED: to be another user needs root and `setpriv`; nothing was shown");
@@ -219,7 +219,7 @@ fn a_runtime_folder_without_write_permission_is_reported() {
 fn the_remains_of_another_user_disturb_no_run_and_are_kept() {
     let Some(memory) = OwnSharedMemory::new("64m") else { return };
     let (playground, theirs) = (tracking(), tracking());
-    // Their user has to reach the program and the file as well.
+    // The other user has to reach the program and the file.
     fs::set_permissions(theirs.path(""), PermissionsExt::from_mode(0o777)).unwrap();
     let program = theirs.path("conicflow");
     copy_program(Path::new(theirs.command(&[]).get_program()), &program);
@@ -244,7 +244,7 @@ fn the_remains_of_another_user_disturb_no_run_and_are_kept() {
     let cleaned = as_them(&["doctor", "--clean"]).wait().expect_code(0);
     assert!(cleaned.stdout.starts_with("removed what 6 dead processes had in `"), "{}", cleaned.stdout);
     assert_eq!(memory.files(), [""; 0]);
-    // The folder that is theirs is nobody else's, not even to look into: an onlooker leaves its own files there.
+    // No other user may enter the other user's folder: onlookers write their own files into it.
     for arguments in
         [&["run"][..], &["topic", "echo", "tracks"], &["swap", "tracker", "--set", "gate=9"], &["top", "--once"]]
     {
@@ -259,7 +259,7 @@ fn the_remains_of_another_user_disturb_no_run_and_are_kept() {
 #[test]
 fn a_stage_without_its_launcher_is_reported() {
     let playground = Playground::with_pipeline(TRACKING);
-    // Whoever is not started by the launcher that its environment names has lost it.
+    // A process whose parent is not the launcher that its environment names has lost its launcher.
     let mut command = Command::new("sleep");
     command.arg("100").env("CONICFLOW_RUNTIME_DIR", playground.runtime());
     command.envs([("CONICFLOW_PIPELINE", "tracking"), ("CONICFLOW_STAGE", "lonely"), ("CONICFLOW_LAUNCHER", "1")]);
@@ -276,13 +276,13 @@ fn a_stage_that_finds_shared_memory_full_is_named_and_comes_back_when_there_is_r
     let playground = tracking();
     let mut run = working(&memory, &playground);
     let filler = memory.folder().join("filler");
-    // It may find too little at once, or lose it to the others while it makes its ports.
+    // It may find too little room at the start, or lose it to the other runs while it creates its ports.
     let reports = ["shared memory has ", " was killed by SIGBUS: shared memory is full"];
     let mut delivered = 0;
     wait_until("the cause is named", || {
         let mut file = File::options().append(true).create(true).open(&filler).unwrap();
         assert_eq!(std::io::copy(&mut std::io::repeat(0), &mut file).unwrap_err().kind(), ErrorKind::StorageFull);
-        // What a killed source leaves is room for the next, if that is faster than this.
+        // The room that a killed source leaves is free for the next run if that is faster than this.
         let lines = playground.lines("tracks.jsonl").len();
         if let Some(source) = stages_of(run.id()).get("source").filter(|_| lines > delivered) {
             delivered = lines + 3;

@@ -1,4 +1,4 @@
-//! The paper's experiments, each in a short form: the files of `experiments/` as they are, fewer frames and values.
+//! The paper's experiments in a short form: the files of `experiments/`, with fewer frames and values.
 
 use crate::support::{Playground, Started, signal};
 use conicflow_lab::score::truth::load_scene;
@@ -9,11 +9,11 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
-/// The CSV of an experiment, row by row.
+/// Rows of the CSV of an experiment.
 struct Table(Vec<BTreeMap<String, String>>);
 
 impl Table {
-    /// Runs `experiments/NAME.toml` with some of its text replaced.
+    /// Runs `experiments/NAME.toml` after some replacements in its text.
     fn of(name: &str, edits: &[(&str, &str)], frames: u32) -> Self {
         let playground = playground(name, edits);
         let file = format!("{name}.toml");
@@ -32,7 +32,7 @@ impl Table {
         Self(lines[1..].iter().map(row).collect())
     }
 
-    /// The number in a column of the row that has these cells.
+    /// The number in a column of the row with these cells.
     fn number(&self, cells: &[(&str, &str)], column: &str) -> f64 {
         let fits = |row: &&BTreeMap<String, String>| {
             cells.iter().all(|(column, cell)| row.get(*column).map(String::as_str) == Some(*cell))
@@ -58,10 +58,10 @@ fn playground(name: &str, edits: &[(&str, &str)]) -> Playground {
     playground
 }
 
-/// Errors of the confirmed tracks in units of their sigmas, over a whole sequence. Its frames err alike, so that a single
-/// object is one draw: below one is luck, far above is a lie. They also err less than real ones: a sigma takes a third of the
-/// variance for errors that no number of frames averages out, and of these a simulated sensor has few beside the bias of its
-/// contours, which is learned.
+/// Asserts that the errors of the confirmed tracks agree with their sigmas over a whole sequence. The errors of its frames depend
+/// on each other, so an object counts as one sample: ratios far below one are possible, ratios far above one are wrong. The
+/// errors are also smaller than with real sensors: a sigma has a third of its variance for errors that do not average out over
+/// frames, and a simulated sensor has few of these besides the bias of its contours, which is estimated.
 fn assert_honest(table: &Table, object: &str) {
     let least = if object == "all" { 0.3 } else { 0.2 };
     for column in ["radius_sigmas", "center_sigmas"] {
@@ -92,7 +92,7 @@ fn basic_scene_is_found_by_both_methods() {
     assert_eq!(pooled("all", "switches"), 0.0);
 }
 
-/// The extractor is swapped by one entry under `cases`: RANSAC finds can and ball, each row on its own, and no cone.
+/// One entry under `cases` replaces the extractor by RANSAC, which finds can and ball in each row, and no cone.
 #[test]
 fn ransac_takes_the_extractors_place_in_the_basic_scene() {
     let table = Table::of("basic", &[], 4);
@@ -122,7 +122,7 @@ fn ransac_finds_ellipses_in_the_wall_and_wants_many_more_trials() {
     assert_near("longer semi-axis", cell("RANSAC x16", "0.4", "long_m"), 0.397, 0.002);
 }
 
-/// The paper's radius shrinks with the distance: 0.20, 0.16, 0.15 m; that of pooled moments does not.
+/// The radius of the paper's way shrinks with the distance: 0.20, 0.16, 0.15 m. That of pooled moments does not.
 #[test]
 fn accuracy_shows_the_papers_bias_and_none_of_ours() {
     let table = Table::of(
@@ -207,7 +207,7 @@ fn a_ball_is_distinguished_from_the_can_below_it() {
     assert_eq!(table.number(&[("method", "pooled"), ("object", "all")], "wrong"), 0.0);
 }
 
-/// Times differ from machine to machine; that the table has them, and that everything is found, does not.
+/// Times differ between machines. The test checks that the table has them, and that everything is found.
 #[test]
 fn cost_has_a_time_for_each_size() {
     let small = "        { name = 4800, set = { \"source.width\" = 80, \"source.height\" = 60 } },\n";
@@ -266,7 +266,7 @@ fn results_that_cannot_be_written_are_reported_before_anything_is_measured() {
     assert!(!ended.stderr.contains("run 1 of"), "{}", ended.stderr);
 }
 
-/// To start the evaluation anew would not help.
+/// A restart of the evaluation would not help.
 #[test]
 fn a_run_ends_at_the_first_frame_without_a_truth() {
     let playground = playground("recording", &[]);
@@ -276,7 +276,7 @@ fn a_run_ends_at_the_first_frame_without_a_truth() {
     assert_eq!(ended.stage("evaluation").starts, 1, "{}", ended.stderr);
 }
 
-/// What was measured until then stays.
+/// The measurements up to then are kept.
 #[test]
 fn an_experiment_that_is_ended_from_outside_shows_the_runs_before() {
     let edits = [("[1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0]", "[2.0, 2.5]"), ("from_s = 1.0 ", "from_s = 0.0 ")];
@@ -290,7 +290,7 @@ fn an_experiment_that_is_ended_from_outside_shows_the_runs_before() {
     assert!(rows.len() == 5 && rows[1..].iter().all(|row| row.starts_with("2,")), "{rows:?}");
 }
 
-/// The command of each frame reaches the camera before the next one; how soon is all that may differ from run to run.
+/// The command for each frame reaches the camera before the next frame. Only the time that this takes differs from run to run.
 #[test]
 fn the_robot_stops_a_metre_before_the_ball() {
     let table = Table::of("follow", &[("\"scenes/held_ball.toml\", ", ""), ("from_s = 11.0", "from_s = 7.5")], 240);
@@ -322,13 +322,13 @@ fn a_bouncing_ball_is_one_track_near_its_true_path() {
     assert_honest(&table, "ball");
 }
 
-/// Writes frames of a scene down, and what is known of the camera.
+/// Writes frames of a scene and their camera.
 fn record(playground: &Playground, scene: &str, frames: u64) {
     let scene = load_scene(&playground.path(scene)).unwrap().scene(&Values::new()).unwrap();
     playground.record_with_camera(scene, 77, frames);
 }
 
-/// What fails at the end is told once: the stage is not started anew, where it could only miss what it had seen.
+/// An error at the end is reported once. The stage does not restart, because it would not get the earlier frames again.
 #[test]
 fn a_recording_that_is_too_short_to_measure_the_noise_is_reported_once() {
     let playground = playground("noise", &[]);
@@ -341,7 +341,7 @@ fn a_recording_that_is_too_short_to_measure_the_noise_is_reported_once() {
     assert!(!ended.stderr.contains("anew"), "{}", ended.stderr);
 }
 
-/// Recorded frames take the place of the synthetic source by a few settings; of them each shape and each track has a row.
+/// A few settings replace the synthetic source by recorded frames. The table has a row for each shape and each track.
 #[test]
 fn an_experiment_takes_recorded_frames() {
     let playground = playground("basic", &[]);
@@ -365,7 +365,7 @@ fn an_experiment_takes_recorded_frames() {
     );
 }
 
-/// Of recorded frames, too, the summary counts what was missed and what was wrong, and the details tell it.
+/// With recorded frames, too, the summary counts missed objects and wrong answers, and the details list them.
 #[test]
 fn faults_of_recorded_frames_are_counted_and_reported() {
     let playground = playground("recording", &[]);
@@ -386,7 +386,7 @@ fn faults_of_recorded_frames_are_counted_and_reported() {
     assert_eq!((wrong.len(), &wrong[0]["why"]), (3, &"nothing there".into()));
 }
 
-/// The script runs over all folders that have frames, and one table tells of each; where there is no truth nothing is right.
+/// The script processes all folders with frames, and prints one table. Recordings without a truth have no right answers.
 #[test]
 fn the_recordings_are_one_table() {
     let playground = playground("recording", &[]);
@@ -424,7 +424,7 @@ fn the_recordings_are_one_table() {
         command.env("CONICFLOW", env!("CARGO_BIN_EXE_conicflow")).env("CONICFLOW_DATA", "data");
         Started::new(command).wait()
     };
-    // What is found a quarter turn on is turned back, else the box would not hold it.
+    // Answers on rotated frames have to be rotated back to lie in the box of the truth.
     let ended = flipped(&["--quiet"]).expect_code(0);
     let table = Table::read(&playground, "results/recordings.csv");
     let wrong =
@@ -437,7 +437,7 @@ fn the_recordings_are_one_table() {
     assert!(flipped(&["--pictures", "pictures"]).expect_code(2).stderr.contains("one way at a time"));
 }
 
-/// The judge itself in short: two of its configurations. What nobody can beat nobody beats, but for chance.
+/// Runs two configurations of the limit. Apart from chance, no detector can beat the bound.
 #[test]
 fn no_detector_is_better_than_the_bound() {
     let wanted = ["\"sphere 10 cm at 1 m\"", "\"cylinder 10 cm at 2 m\"", "cases = ["];
@@ -454,7 +454,7 @@ fn no_detector_is_better_than_the_bound() {
             let what = format!("{quantity} of {configuration}");
             assert_eq!((cell("frames"), cell("found"), cell("wrong")), (60.0, 1.0, 0.0), "{what}");
             assert!(0.0 < cell("bound_b") && cell("bound_b") <= cell("bound_a"), "{what}");
-            // the scatter of 60 frames is known to a tenth
+            // The scatter of 60 frames is known to a tenth.
             assert!((0.1..1.4).contains(&cell("efficiency_b")), "{what}: {}", cell("efficiency_b"));
             assert!((0.3..3.0).contains(&cell("sigma_over_scatter")), "{what}: {}", cell("sigma_over_scatter"));
         }
@@ -462,7 +462,7 @@ fn no_detector_is_better_than_the_bound() {
     assert_eq!(table.0.len(), 5);
 }
 
-/// A ball on a stick that someone carries about: one identity, seen in each of the frames.
+/// A ball on a stick that a person carries has one identity in all frames.
 #[test]
 fn the_recorded_ball_has_one_identity_from_first_to_last_sight() {
     let folder = std::env::var_os("CONICFLOW_DATA").map(|data| Path::new(&data).join("ball-kinect-cam1/depth"));
@@ -488,7 +488,7 @@ fn the_recorded_ball_has_one_identity_from_first_to_last_sight() {
     assert_eq!(frames.len(), 101);
 }
 
-/// A short noisy arc makes a small ellipse: the paper's bias, in one scan line.
+/// An ellipse fitted to a short noisy arc is too small: the paper's bias, in one scan line.
 #[test]
 fn an_ellipse_is_found_in_noise_and_shrinks_with_it() {
     let edits = [("[0.0, 0.001, 0.002, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04]", "[0.0, 0.005, 0.02]")];

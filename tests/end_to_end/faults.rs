@@ -1,4 +1,4 @@
-//! Stages that panic, hang or are stopped: they are told of, started anew where that is asked for, and harm no other.
+//! Stages that panic, hang or are stopped: they are reported, they restart if the file says so, and they affect no other stage.
 
 use crate::bridge::{joined, loopback, machines, top_link};
 use crate::processes::{at_work, files_in_shared_memory, shared_prefix, stages_of, start, wait_for_lines};
@@ -6,7 +6,7 @@ use crate::programs::program;
 use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, signal, wait_until};
 use rustix::process::Signal;
 
-/// [`TRACKING`] with a stage between assembler and tracker that does wrong at one frame.
+/// [`TRACKING`] with a stage between assembler and tracker that fails at one frame.
 fn with_faulty_stage(keys: &str) -> Playground {
     with_program(&program("faulty_stage"), keys)
 }
@@ -31,8 +31,8 @@ output  = {{ topic = "passed_on", kind = "objects" }}
     )
 }
 
-/// Ends a run, in which the faulty stage died twice of each of so many frames from frame 20 on, all others were started once, and
-/// every frame came but those.
+/// Ends a run. Asserts that the faulty stage died twice on each of this number of frames, beginning with frame 20, that the other
+/// stages were started once, and that all other frames arrived.
 fn expect_two_deaths_each(run: Started, playground: &Playground, frames: u64) -> String {
     signal(run.id(), Signal::INT);
     let ended = run.wait().expect_code(1);
@@ -71,7 +71,7 @@ fn a_panic_is_reported_with_its_frame_and_the_next_frame_is_processed() {
     assert!(log.contains("stage `faulty` ended with exit code 1, and is started anew"), "{log}");
 }
 
-/// What was left out does not come again when the stage dies of what follows.
+/// A frame that was left out does not come again when the stage dies on a later one.
 #[test]
 fn each_of_two_successive_frames_that_kill_a_stage_is_left_out_once() {
     let playground = with_faulty_stage("panic_at = 20\npanics_more = 1");
@@ -99,7 +99,7 @@ fn a_stage_that_is_stopped_is_reported_and_goes_on() {
         let state = playground.top();
         let stages = state["stages"].as_array().unwrap();
         let silence = |name: &str| stages.iter().find(|stage| stage["stage"] == name).unwrap()["silent_s"].as_f64();
-        // A stage that waits for another is alive.
+        // A stage that waits for another one still has heartbeats.
         silence("tracker") > Some(3.0) && silence("assembler") < Some(2.0)
     });
     run.wait_for_text("stage `tracker` hangs after ");
@@ -214,7 +214,7 @@ fn a_run_whose_folder_is_removed_ends_in_order_and_reports_it_even_if_a_stage_di
     }
 }
 
-/// How many processes there are that [`in_a_shell`] has started in the background.
+/// Number of processes that [`in_a_shell`] has started in the background.
 fn background(playground: &Playground) -> usize {
     playground.processes().into_iter().filter(|process| is_sleep(*process)).count()
 }
@@ -282,7 +282,7 @@ fn is_stopped(process: u32) -> bool {
     stat.rsplit_once(')').unwrap().1.trim_start().starts_with('T')
 }
 
-/// A shell that starts the faulty stage, which does no wrong, with this before and after it.
+/// A shell that starts the faulty stage, here without a fault, between these two commands.
 fn in_a_shell(before: &str, after: &str) -> String {
     let words: Vec<String> = serde_json::from_str(&program("faulty_stage")).unwrap();
     format!("{:?}", ["sh", "-c", &format!("{before} {} {after}", words.join(" "))])
@@ -320,7 +320,7 @@ fn a_program_that_takes_long_to_start_is_named_and_loses_nothing() {
     playground.expect_each_frame(&ended);
 }
 
-/// `uv run` does so, too.
+/// `uv run` starts programs in this way.
 #[test]
 fn a_program_started_by_another_than_the_launcher_is_refused_with_a_hint() {
     let playground = with_program(&in_a_shell("", "; exit $?"), "");

@@ -1,4 +1,4 @@
-//! Disks that are full and files that cannot be read: the stage fails for good, with exit code 1 and one sentence that says why.
+//! Full disks and unreadable files: the stage fails for good, with exit code 1 and one sentence that gives the reason.
 
 use crate::processes::at_work;
 use crate::support::{Ended, Playground, Started, TRACKING, read_png};
@@ -7,10 +7,10 @@ use rustix::process::geteuid;
 use std::fs;
 use std::process::{Command, Stdio};
 
-/// That of the frames that a playground records.
+/// The camera of the frames that [`Playground::record`] writes.
 const CAMERA: &str = "262.5,262.5,159.5,119.5";
 
-/// Makes sure that a run ended because of one stage, which said once why and was not started anew.
+/// Asserts that a run ended because of one stage, which reported the reason once and did not restart.
 fn expect_failed_for_good(ended: Ended, stage: &str, why: &str) -> Ended {
     let ended = ended.expect_code(1);
     let errors = ended.stderr.lines().filter(|line| line.starts_with("error: ") && line.contains(why));
@@ -29,15 +29,15 @@ fn lines_that_do_not_fit_on_the_disk_end_the_run() {
     ended.expect_texts(&["\n  hint: free some space, or write to another disk\n"]);
 }
 
-/// [`TRACKING`] with one more sink, which writes to a disk of its own of this size; what is in it when the run is over, in
-/// the folder `left`. `None`, said loudly, where this user cannot make one.
+/// Runs [`TRACKING`] with a further sink, which writes to its own disk of this size. The files of that disk are in the folder
+/// `left` afterwards. Without the right to create a disk, prints that the test is skipped, and returns `None`.
 fn on_a_small_disk(size: &str, sink: &str) -> Option<(Playground, Ended)> {
     let playground = Playground::with_pipeline(&format!("{TRACKING}{sink}"));
     let ended = with_a_small_disk(size, &playground, &["run", "--for", "10min"])?;
     Some((playground, ended))
 }
 
-/// Runs `conicflow` where the folder `disk` is a disk of its own of this size; what is in it then is in the folder `left`.
+/// Runs `conicflow` with a disk of this size at the folder `disk`. Its files are in the folder `left` afterwards.
 fn with_a_small_disk(size: &str, playground: &Playground, arguments: &[&str]) -> Option<Ended> {
     fs::create_dir(playground.path("disk")).unwrap();
     let script =
@@ -115,7 +115,7 @@ fn the_record_command_reports_a_full_disk_and_the_run_goes_on() {
     assert!(!playground.lines("found.jsonl").is_empty(), "{}", found.stderr);
 }
 
-/// Runs `detect` on the folder `frames` with these arguments, where no file may be larger than so many blocks of 512 bytes.
+/// Runs `detect` on the folder `frames` with these arguments, with a limit for the size of files, in blocks of 512 bytes.
 fn detect_in_small_files(playground: &Playground, blocks: u32, arguments: &[&str]) -> Ended {
     let inner = playground.command(&[&["detect", "frames", "--camera", CAMERA], arguments].concat());
     let mut command = Command::new("sh");
@@ -123,14 +123,14 @@ fn detect_in_small_files(playground: &Playground, blocks: u32, arguments: &[&str
         .args(["-c", "ulimit -f $0; exec \"$@\"", &blocks.to_string()])
         .arg(inner.get_program())
         .args(inner.get_args());
-    // What it tells goes where there is no limit: a file of the test's would end it, too.
+    // Standard error is a pipe: a file of the test would exceed the limit, too, and end the program.
     command.current_dir(inner.get_current_dir().unwrap()).stdin(Stdio::null()).stderr(Stdio::piped());
     let output = command.stdout(Stdio::piped()).output().unwrap();
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
     Ended { code: output.status.code(), stdout: text(&output.stdout), stderr: text(&output.stderr) }
 }
 
-/// Makes sure that it ended with 1 and one sentence that says why, with a hint.
+/// Asserts that it ended with exit code 1 and one sentence that gives the reason, with a hint.
 fn expect_reported_once(ended: Ended, why: &str, hint: &str) {
     let ended = ended.expect_code(1);
     let reports = ended.stderr.lines().filter(|line| line.contains(why));

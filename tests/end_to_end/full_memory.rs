@@ -1,5 +1,5 @@
-//! Memory that runs out: other programs that fill shared memory under a running pipeline, which needs root and `unshare`, and a
-//! stage that takes more than it may have.
+//! Memory that runs out: other programs fill shared memory under a running pipeline, which needs root and `unshare`, and a stage
+//! exceeds its limit.
 
 use super::own_memory::OwnSharedMemory;
 use super::processes::stages_of;
@@ -12,7 +12,7 @@ use std::fs::File;
 /// Less than an image, and enough for lists.
 const SPARE: u64 = 512 * 1024;
 
-/// Takes what is free, but for that.
+/// Fills shared memory, except [`SPARE`] bytes.
 fn fill(memory: &OwnSharedMemory) {
     let free = || statvfs(memory.folder()).map(|about| about.f_bavail * about.f_frsize).unwrap();
     let file = File::create(memory.folder().join("of_another_program")).unwrap();
@@ -27,7 +27,7 @@ fn a_run_goes_on_when_other_programs_fill_shared_memory() {
     let mut run = memory.start(&playground, &["run"]);
     run.wait_until("tracks come", || playground.count("tracks.jsonl") > 5);
     fill(&memory);
-    // Only now the queue fills, with images that had not been under way at once before.
+    // The queue fills only now, with more images under way at once than before.
     let stages = stages_of(run.id());
     signal(stages["extractor"], Signal::STOP);
     let before = messages(&playground, "source");
@@ -40,7 +40,7 @@ fn a_run_goes_on_when_other_programs_fill_shared_memory() {
     assert_eq!(memory.files(), ["of_another_program"]);
 }
 
-/// The limit is one that the kernel keeps for that process alone.
+/// The kernel limits the memory of this process alone.
 #[test]
 fn a_stage_that_takes_more_memory_than_it_may_have_is_named_and_the_others_deliver_all() {
     const FRAMES: u64 = 60;
@@ -55,7 +55,7 @@ restart = "never"
     let ended = playground.conicflow(&["run"]).expect_code(1);
     let died: Vec<_> = ended.stderr.lines().filter(|line| line.contains("ERROR stage `")).collect();
     assert!(died.len() == 1 && died[0].contains("stage `eater` "), "{}", ended.stderr);
-    // Shells die of it in ways of their own.
+    // How a shell reports this depends on the shell.
     let says_of_what = ["was killed by signal ", "ended with exit code "].iter().any(|what| died[0].contains(what));
     assert!(says_of_what && died[0].contains(", and is not started anew: its `restart` is "), "{}", ended.stderr);
     ended.expect_texts(&["not complete: a stage was lost, see above"]);

@@ -1,4 +1,4 @@
-//! Files with anything in them: what the fuzzers began with and what they found, and mutations of it, do no harm.
+//! Hostile files: the first inputs of the fuzzers, those in which they found faults, and mutations of both do no harm.
 
 #[path = "../../fuzz/readers.rs"]
 mod readers;
@@ -15,7 +15,7 @@ use std::path::PathBuf;
 const MUTATIONS: &str = "CONICFLOW_MUTATIONS";
 const DEFAULT_MUTATIONS: usize = 300;
 
-/// The files of a corpus, by their names: those that begin with `good` are to be accepted, those with `bad` refused.
+/// The files of a corpus, by name. Files whose names begin with `good` have to be accepted, those with `bad` refused.
 fn corpus(kind: &str) -> BTreeMap<String, Vec<u8>> {
     let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus").join(kind);
     let files = fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap());
@@ -36,7 +36,7 @@ fn the_corpora_of_the_fuzzers_do_no_harm() {
     }
 }
 
-/// Writes what the fuzzer of messages begins with, after each change of the wire: `cargo test --test end_to_end
+/// Writes the first inputs of the fuzzer of messages. Run it after each change of the wire format: `cargo test --test end_to_end
 /// begin_the_corpus -- --ignored`.
 #[test]
 #[ignore = "writes into the repository"]
@@ -67,7 +67,8 @@ fn begin_the_corpus_of_messages() {
     }
 }
 
-/// One of the files with a few bytes changed, a piece left out, repeated or exchanged, or a number put in.
+/// Returns one of the files after a mutation: a few bytes are changed, a piece is left out, repeated or exchanged, or a number is
+/// inserted.
 fn mutated(files: &[Vec<u8>], random: &mut fastrand::Rng) -> Vec<u8> {
     const NUMBERS: [&[u8]; 8] =
         [b"0", b"-1", b"4294967295", b"18446744073709551616", b"1e308", b"nan", b"inf", b"\xff\xff\xff\xff"];
@@ -100,7 +101,7 @@ fn mutate((kind, accepts): Reader, count: usize) {
     assert!(accepted > 0 && accepted < count, "{kind}: {accepted} of {count} accepted, which shows little");
 }
 
-/// More of them: `CONICFLOW_MUTATIONS=100000 cargo test --release --test end_to_end -- mutations`.
+/// `CONICFLOW_MUTATIONS=100000 cargo test --release --test end_to_end -- mutations` tries more mutations.
 #[test]
 fn mutations_of_the_corpora_do_no_harm() {
     let count = std::env::var(MUTATIONS).map_or(DEFAULT_MUTATIONS, |text| text.parse().unwrap());

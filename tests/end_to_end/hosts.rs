@@ -1,5 +1,5 @@
-//! Two hosts as network namespaces, joined by a cable that can be pulled and made bad. Needs root and `ip netns`; where
-//! they are missing each test says so and shows nothing.
+//! Two hosts as network namespaces, joined by a cable that can be pulled and disturbed. The tests need root and `ip netns`;
+//! without these they print that they are skipped.
 
 use super::bridge::{LIVE_RATE_HZ, apart, expect_unfelt, live, machines, newest, tracks};
 use super::support::{Playground, Started, TRACKING, wait_until, within};
@@ -13,27 +13,27 @@ use std::time::{Duration, Instant};
 
 pub const ROBOT: &str = "10.77.0.1";
 const BASE: &str = "10.77.0.2";
-/// The cable is out for so long; the second is longer than Zenoh, and TCP's first retries, wait, and long enough for a backlog
-/// that is stale.
+/// Times for which the cable is pulled. The second one is longer than Zenoh and the first retries of TCP wait, and long enough
+/// for a stale backlog.
 const OUTAGES: [Duration; 2] = [Duration::from_secs(3), Duration::from_secs(13)];
-/// A link is back after this time.
+/// Maximum time until a link is up again.
 const SOON: Duration = Duration::from_secs(3);
-/// What is older than this waited in a queue, or for a stage on a host that is busy with other things, ...
+/// A message that is older waited in a queue, or for a stage on a busy host.
 const STALE_MS: f64 = 2500.0;
-/// ... of which no more come, those of two seconds; a backlog has more.
+/// At most this many stale messages may arrive, those of two seconds; a backlog has more.
 pub const MOST_STALE: usize = 40;
 
-/// How many of these latencies are those of stale messages.
+/// Number of latencies of stale messages.
 pub fn stale(latencies_ms: impl IntoIterator<Item = f64>) -> usize {
     latencies_ms.into_iter().filter(|latency_ms| *latency_ms > STALE_MS).count()
 }
 
-/// The same for lines of results.
+/// Number of stale lines of results.
 fn stale_lines(lines: &[Json]) -> usize {
     stale(lines.iter().map(|line| line["latency_ms"].as_f64().unwrap()))
 }
 
-/// A network namespace, gone when this is.
+/// A network namespace, which is removed when this value is dropped.
 pub struct Host(String);
 
 /// Two hosts with a cable or a radio between them.
@@ -50,7 +50,7 @@ pub fn ip(arguments: &str) -> bool {
 }
 
 impl Host {
-    /// A host of its own, without any cable; `None`, said loudly, where this user cannot make it.
+    /// Creates a host without a cable. If this user cannot, prints that the test is skipped, and returns `None`.
     pub fn new() -> Option<Self> {
         static COUNT: AtomicU32 = AtomicU32::new(0);
         let host = Self(format!("cf{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed)));
@@ -62,12 +62,12 @@ impl Host {
         Some(host)
     }
 
-    /// The namespace's name.
+    /// Name of the namespace.
     pub fn name(&self) -> &str {
         &self.0
     }
 
-    /// `ip` on this host.
+    /// Runs `ip` on this host.
     pub fn ip(&self, arguments: &str) {
         assert!(ip(&format!("-n {} {arguments}", self.0)), "ip {arguments}");
     }
@@ -78,7 +78,7 @@ impl Host {
         self.ip(&format!("link set {device} up"));
     }
 
-    /// A program on this host.
+    /// Starts a program on this host.
     pub fn start(&self, inner: &Command) -> Started {
         let mut command = Command::new("ip");
         command.args(["netns", "exec", &self.0]);
@@ -94,7 +94,7 @@ impl Drop for Host {
 }
 
 impl Hosts {
-    /// Hosts joined by a cable; `None`, said loudly, where this user cannot make them.
+    /// Creates hosts joined by a cable. If this user cannot, prints that the test is skipped, and returns `None`.
     pub fn new() -> Option<Self> {
         let hosts = Self::apart()?;
         let (robot, base) = (hosts.robot.name(), hosts.base.name());
@@ -103,7 +103,8 @@ impl Hosts {
         Some(hosts)
     }
 
-    /// Hosts joined by a radio: so many Mbit/s, 100 ms there and 100 ms back, and of 100 packets 5 are lost.
+    /// Creates hosts joined by a radio with this rate in Mbit/s, a delay of 100 ms in each direction, and a loss of 5 of 100
+    /// packets.
     pub fn with_radio(mbit_per_s: u32) -> Option<Self> {
         let mut hosts = Self::apart()?;
         if !Path::new("/dev/net/tun").exists() {
@@ -120,7 +121,7 @@ impl Hosts {
         Some(hosts)
     }
 
-    /// Hosts that nothing joins yet.
+    /// Creates two hosts that are not joined.
     fn apart() -> Option<Self> {
         Some(Self { robot: Host::new()?, base: Host::new()?, _radio: None })
     }
@@ -135,7 +136,8 @@ impl Hosts {
         self.robot.ip(&format!("link set cable {state}"));
     }
 
-    /// Makes the cable as bad as this kernel can: slow, long and lossy, or at least slow. False, said loudly, if not.
+    /// Makes the cable as bad as this kernel can: slow, with delay and loss, or at least slow. If the kernel cannot, prints that
+    /// the test is skipped, and returns `false`.
     fn spoil(&self, rate: &str) -> bool {
         let shaped = |discipline: &str| {
             [&self.robot, &self.base].iter().all(|host| {
@@ -170,7 +172,7 @@ fn text() -> String {
     apart(&endpoint, &endpoint).replace("[machine.robot]\n", "[machine.robot]\ninsecure = true\n")
 }
 
-/// Pulls the cable under live edges: what was lost is lost, what comes is fresh and comes soon, and the robot feels nothing.
+/// Pulls the cable under live edges: messages of that time are lost, new ones arrive in time, and the robot is not affected.
 #[test]
 fn after_an_outage_live_edges_carry_new_messages() {
     let Some(hosts) = Hosts::new() else { return };
@@ -187,11 +189,11 @@ fn after_an_outage_live_edges_carry_new_messages() {
         let (down, back) = (pulled.elapsed(), Instant::now());
         runs[1].wait_until("tracks arrive again", || base.lines("tracks.jsonl").len() > lines);
         eprintln!("after {outage:?} without a cable tracks came again {:?} after it was back", back.elapsed());
-        // A backlog would come to its end before this, too.
+        // A backlog would end before this frame, too.
         let fresh = newest(base).max(before + (LIVE_RATE_HZ * down.as_secs_f64()) as u64);
         runs[1].wait_until("they go on", || newest(base) > fresh + 40);
         let after = &base.json_lines("tracks.jsonl")[lines..];
-        // The frames tell the time, however busy this host is.
+        // The sequence numbers of frames give the time, however busy this host is.
         let missed = after[0]["sequence"].as_u64().unwrap() - before;
         assert!(
             missed as f64 <= LIVE_RATE_HZ * (down + SOON).as_secs_f64(),
@@ -204,8 +206,8 @@ fn after_an_outage_live_edges_carry_new_messages() {
     expect_unfelt(&robot_ended.input("depth", "extractor"));
 }
 
-/// Lossless edges over a bad cable give, bit for bit, what one machine finds in so many frames; `disturb` is told what the base
-/// has found.
+/// Asserts that lossless edges over a bad cable give the same results as one machine to the bit. `disturb` gets the playground of
+/// the base, whose results show the progress.
 pub fn nothing_is_lost(hosts: &Hosts, frames: u64, disturb: impl FnOnce(&Playground)) {
     let alone = Playground::with_pipeline(TRACKING);
     alone.conicflow(&["run", "--frames", &frames.to_string(), "--set", "source.rate_hz=40"]).expect_code(0);
@@ -222,7 +224,7 @@ pub fn nothing_is_lost(hosts: &Hosts, frames: u64, disturb: impl FnOnce(&Playgro
 #[test]
 fn lossless_edges_lose_nothing_in_an_outage() {
     let Some(hosts) = Hosts::new() else { return };
-    // More than both sides keep while the cable is out.
+    // More frames than both sides keep while the cable is out.
     const FRAMES: u64 = 200;
     nothing_is_lost(&hosts, FRAMES, |base| {
         for outage in OUTAGES {
@@ -250,7 +252,7 @@ fn a_slow_cable_full_of_images_does_not_delay_the_robot() {
     if !hosts.spoil("0.5mbit") {
         return;
     }
-    // These images, uncompressed, are twice what the cable carries.
+    // These uncompressed images need twice the rate of the cable.
     let endpoint = format!("tcp/{ROBOT}:7447");
     let text = format!(
         r#"
@@ -285,7 +287,7 @@ output  = "again"
     let mut runs = hosts.start_both(&machines);
     runs[1].wait_until("images arrive", || machines[1].lines("tracks.jsonl").len() > 120);
     let [robot, base] = runs.map(Started::end);
-    // A queue on the cable would grow all the time, and what comes in the second half be stale.
+    // A queue on the cable would grow all the time, and messages of the second half would be stale.
     let stale = stale_lines(&machines[1].json_lines("tracks.jsonl")[5..]);
     assert!(stale <= MOST_STALE, "a queue on the cable: {stale} came late");
     expect_unfelt(&robot.input("depth", "local"));

@@ -1,4 +1,4 @@
-//! Identities of tracks outlive the stages before the tracker: what is killed or replaced there costs frames, and no track.
+//! Tracks keep their identities when stages before the tracker are killed or replaced, which costs only frames.
 
 use crate::processes::{stages_of, wait_for_lines};
 use crate::support::{Playground, Started, TRACKING, signal};
@@ -6,7 +6,8 @@ use rustix::process::Signal;
 use serde_json::Value as Json;
 use std::collections::BTreeSet;
 
-/// A ball that goes to and fro, is always in view, and turns back so slowly that it is known again after seconds without a frame.
+/// A ball that swings to and fro, is always in view, and is slow enough at its turning points to be associated again after
+/// seconds without a frame.
 const SCENE: &str = r#"
 name = "to and fro"
 
@@ -28,13 +29,13 @@ fn start(playground: &Playground) -> Started {
     run
 }
 
-/// The identities of the tracks that were confirmed.
+/// The identities of the confirmed tracks.
 fn confirmed(frames: &[Json]) -> BTreeSet<u64> {
     let tracks = frames.iter().flat_map(|frame| frame["tracks"].as_array().unwrap());
     tracks.filter(|track| track["state"] != "tentative").map(|track| track["id"].as_u64().unwrap()).collect()
 }
 
-/// Restarts each stage before the tracker in both ways; then the tracker, whose new identities are not the old ones.
+/// Kills and replaces each stage before the tracker; then the tracker, which gives new identities.
 fn restart_what_comes_before(delivery: &str) {
     let playground = Playground::with_pipeline(&TRACKING.replace("lossless", delivery));
     let mut run = start(&playground);

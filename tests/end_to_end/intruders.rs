@@ -1,4 +1,5 @@
-//! What others may send to a bridge: garbage, messages of another version, forged ones, and true ones once more.
+//! Messages of intruders to a bridge: garbage, messages of another version, forged messages, and genuine ones that are sent
+//! again.
 
 use super::bridge::{self, apart, kill, loopback, machines, newest, start, top_link, wait_for_frames, wait_for_link};
 use super::routers::session;
@@ -8,12 +9,12 @@ use rustix::process::Signal;
 use std::os::unix::fs::PermissionsExt;
 use zenoh::Wait;
 
-/// A Zenoh session of somebody who connects to these endpoints.
+/// A Zenoh session that connects to these endpoints.
 fn intruder(endpoints: &[&str]) -> zenoh::Session {
     session("peer", &[("connect/endpoints", &format!("{endpoints:?}"))])
 }
 
-/// Both machines where the base listens and the newest wins.
+/// Both machines with a live pipeline; the base listens.
 fn live(endpoint: &str) -> [Playground; 2] {
     let text = bridge::live(&apart(endpoint, endpoint));
     let text = text.replace("listen = [", "@").replace("connect = [", "listen = [").replace('@', "connect = [");
@@ -81,7 +82,7 @@ fn the_report_of_another_pipeline_file_says_what_differs() {
     drop([base_run, robot_run].map(Started::end));
 }
 
-/// Both machines of live edges, of which each listens: who connects to both hears and reaches both.
+/// Both machines of a live pipeline, both of which listen, and a session that is connected to both.
 fn both_listening() -> ([Playground; 2], zenoh::Session, [Started; 2]) {
     let (robot, base) = (loopback(), loopback());
     let listening = format!("[machine.base]\nlisten = [\"{base}\"]\n");
@@ -91,7 +92,7 @@ fn both_listening() -> ([Playground; 2], zenoh::Session, [Started; 2]) {
     (machines, intruder(&[&robot, &base]), runs)
 }
 
-/// So many messages, and as many heartbeats, of the robot, as they go over the link.
+/// Records this number of messages and of heartbeats of the robot from the link.
 fn recorded(session: &zenoh::Session, count: usize) -> Vec<(&'static str, Vec<u8>)> {
     let keys = ["conicflow/tracking/robot/ellipses", "conicflow/tracking/@link/robot"];
     let record = |key: &'static str| {
@@ -105,14 +106,14 @@ fn put(session: &zenoh::Session, messages: &[(&'static str, Vec<u8>)]) {
     messages.iter().for_each(|(key, bytes)| session.put(*key, bytes.clone()).wait().unwrap());
 }
 
-/// Makes sure that a machine has each frame once, in order.
+/// Asserts that a machine has each frame once, in order.
 fn expect_in_order(base: &Playground) {
     let sequences = base.sequences("tracks.jsonl");
     assert!(sequences.is_sorted_by(|earlier, later| earlier < later), "{sequences:?}");
 }
 
-/// Where the code of a message stands, its stream, its number, and that of the oldest that is kept; of a heartbeat the code
-/// alone.
+/// Position of the authentication code of a message, then of its stream, its number, and the number of the oldest kept message. A
+/// heartbeat has the code at the same position.
 const CODE: std::ops::Range<usize> = 14..46;
 const STREAM: std::ops::Range<usize> = 46..54;
 const NUMBER: std::ops::Range<usize> = 54..62;
@@ -175,8 +176,8 @@ fn messages_sent_before_a_bridge_was_restarted_are_refused_when_replayed() {
     drop(runs.map(Started::end));
 }
 
-/// Without a key whoever connects can send under the name of a machine. What its bridge cannot have sent is left out, and what
-/// was on its way comes through all the same, each message once.
+/// Without a key, any session that connects can send in the name of a machine. Messages that the machine's bridge cannot have
+/// sent are left out, and each message under way still arrives once.
 #[test]
 fn without_a_key_forged_messages_displace_none_of_a_lossless_edge() {
     let ends = [loopback(), loopback()];
@@ -196,12 +197,12 @@ fn without_a_key_forged_messages_displace_none_of_a_lossless_edge() {
         numbers.iter().for_each(|(place, number)| changed[place.clone()].copy_from_slice(&number.to_le_bytes()));
         changed
     };
-    // Behind the code of a heartbeat: the numbers of its session and its run, and its time, each with a byte before it.
+    // After the code of a heartbeat come the numbers of its session and its run, and its time, each with a byte before it.
     const TIME: std::ops::Range<usize> = 65..73;
     assert_eq!([&beats, &beats_of_base].map(|bytes| bytes[TIME.start - 1]), [253; 2], "a number of eight bytes");
     let before = newest(&base);
-    // What comes once more is believed if nothing has contradicted it, and on a busy machine nothing may have come meanwhile: so
-    // each is sent once.
+    // A message that is sent again is believed if nothing contradicts it, which may happen on a busy machine if no other message
+    // arrives in between. So each is sent once.
     const FRAMES: u64 = 15;
     for round in 0..6 {
         let near = number + newest(&base) - before;
@@ -230,7 +231,7 @@ fn without_a_key_forged_messages_displace_none_of_a_lossless_edge() {
     assert!(base.sequences("tracks.jsonl").into_iter().eq(0..made), "{}", ended.stderr);
 }
 
-/// The next message under a key, as it goes over the link.
+/// Records the next message under a key from the link.
 fn record(session: &zenoh::Session, key: &str) -> Vec<u8> {
     let subscriber = session.declare_subscriber(key).wait().unwrap();
     subscriber.recv().unwrap().payload().to_bytes().into_owned()

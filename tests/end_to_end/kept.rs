@@ -1,5 +1,5 @@
-//! Stages that are killed where no message may be missed: they come back, are handed again what they had not finished, and the
-//! results are those of a run in which nobody was killed.
+//! Kills stages with lossless inputs: they restart and get their unfinished messages again, and the results are those of a run
+//! without kills.
 
 use crate::bridge::tracks;
 use crate::processes::{UNDER_WAY, at_work, stages_of};
@@ -8,15 +8,16 @@ use crate::support::{Ended, Playground, RECORDING, Started, TRACKING, TRACKING_T
 use conicflow_lab::simulator::scene::Scene;
 use rustix::process::Signal;
 
-/// Ends a run in order: what was made is delivered. How many frames were made, too.
+/// Interrupts a run and waits until everything is delivered. Returns the result and the number of frames.
 fn end(run: Started) -> (Ended, u64) {
     let ended = run.end();
     let made = ended.stage("source").messages;
     (ended, made)
 }
 
-/// Kills a stage after results have got so far, and waits until another process is in its place. How far results get as soon as
-/// that process has worked: if a neighbour died before, both together would lose what only they had.
+/// Kills a stage after the results have reached a position, and waits until another process has taken its place. Returns the
+/// position of the results when that process has worked: if a neighbour died before, messages that only the two had would be
+/// lost.
 fn kill(run: &mut Started, stage: &str, newest: impl Fn() -> u64, after: u64) -> u64 {
     run.wait_until("it is as far", || newest() >= after);
     let (launcher, before) = (run.id(), stages_of(run.id())[stage]);
@@ -26,7 +27,7 @@ fn kill(run: &mut Started, stage: &str, newest: impl Fn() -> u64, after: u64) ->
     at + UNDER_WAY
 }
 
-/// Kills stages one after another, each when the successor of the one before has worked; waits for that of the last, too.
+/// Kills stages one after another, each when the successor of the one before has worked, and waits for the last successor, too.
 fn kill_in_turn(run: &mut Started, stages: &[&str], newest: impl Fn() -> u64) {
     let after = stages.iter().fold(40, |after, stage| kill(run, stage, &newest, after));
     run.wait_until("all have worked", || newest() >= after);
@@ -41,7 +42,7 @@ fn expect_nothing_lost(ended: &Ended, made: u64) {
 
 #[test]
 fn a_stage_that_is_killed_again_and_again_loses_nothing() {
-    // What the assembler remembers of earlier frames would be gone with it.
+    // An assembler that remembers earlier frames would lose them.
     let forgetful =
         TRACKING.replacen("\"object_assembler\"", "\"object_assembler\"\npooled = { contour_memory = 0 }", 1);
     let (playground, mut run) = at_work(&forgetful, 100);
@@ -70,7 +71,7 @@ fn a_sink_and_stages_with_a_state_get_each_frame_once() {
 fn messages_for_a_stopped_stage_are_kept_beyond_its_death_and_the_end_of_the_stream() {
     let (playground, mut run) = at_work(TRACKING, 40);
     run.wait_until("it delivers", || playground.newest("tracks.jsonl") > 20);
-    // Once with full queues before it, ...
+    // First with full queues before the stage, ...
     let launcher = run.id();
     let before = stages_of(launcher)["assembler"];
     signal(before, Signal::STOP);
@@ -79,7 +80,7 @@ fn messages_for_a_stopped_stage_are_kept_beyond_its_death_and_the_end_of_the_str
     run.wait_until("it is back", || stages_of(launcher).get("assembler").is_some_and(|process| *process != before));
     let after = playground.newest("tracks.jsonl") + UNDER_WAY;
     run.wait_until("it has worked", || playground.newest("tracks.jsonl") >= after);
-    // ... and once when nothing more than what waits is to come.
+    // ... then with nothing to come but the messages that wait.
     let before = stages_of(launcher)["assembler"];
     signal(before, Signal::STOP);
     signal(launcher, Signal::INT);
@@ -114,7 +115,7 @@ fn side_inputs_are_repeated_with_their_frame() {
          input = {{ topic = \"objects\", delivery = \"lossless\" }}\ninputs = {{ {inputs} }}\n"
     );
     let (playground, mut run) = at_work(&format!("{TRACKING}{sink}"), 100);
-    // Both sinks have to get so far.
+    // Both sinks have to reach this position.
     let newest = || {
         let last = playground.lines("pairs.txt").pop();
         let paired = last.map_or(0, |line| line.split(' ').next().unwrap().parse().unwrap());
@@ -123,7 +124,7 @@ fn side_inputs_are_repeated_with_their_frame() {
     kill_in_turn(&mut run, &["pairing", "assembler", "pairing", "extractor", "pairing"], newest);
     let (ended, made) = end(run);
     let mut pairs = playground.lines("pairs.txt");
-    // This sink writes a line before it spends its time, and does not look which ones are there.
+    // This sink writes a line before it spends its time, and may write the line again after a restart.
     pairs.dedup();
     let expected: Vec<_> = (0..made).map(|frame| format!("{frame} {frame} {frame}")).collect();
     assert_eq!(pairs, expected, "{}", ended.stderr);
@@ -135,7 +136,7 @@ fn a_recording_is_read_once_whichever_process_is_killed() {
     const RECORDED: u64 = 40;
     let playground = Playground::with_pipeline(RECORDING);
     playground.record_with_camera(Scene::built_in("tabletop").unwrap().unwrap(), 3, RECORDED);
-    // What the images show does not matter, but that there are so many.
+    // Only the number of images matters, not their content.
     for frame in RECORDED..FRAMES {
         let path = |frame: u64| playground.path(&format!("frames/{frame}.png"));
         std::fs::hard_link(path(frame % RECORDED), path(frame)).unwrap();

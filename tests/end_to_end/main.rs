@@ -1,4 +1,4 @@
-//! The program as its users have it: the real binary, started as a process, on files in folders of its own.
+//! Tests of the real program, which is started as a process in folders of each test's own.
 
 #![allow(missing_docs)] // a test's name says what it shows
 #![allow(clippy::unwrap_used, clippy::panic)] // what a test cannot go on from is its failure

@@ -1,5 +1,5 @@
-//! The metrics of a run: read by the parser of Prometheus' own client, compared with `top`, and asked for by those who mean no
-//! good.
+//! The metrics of a run: they are read by the parser of Prometheus' own client, compared with `top`, and requested by faulty
+//! clients.
 
 use crate::bridge::{apart, loopback, machines, newest, start};
 use crate::processes::wait_for_lines;
@@ -12,12 +12,12 @@ use std::net::TcpStream;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-/// An answer begins before this.
+/// Maximum time until an answer begins.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(10);
-/// More than the server takes at a time.
+/// More clients than the server accepts at a time.
 const VISITORS: usize = 100;
 
-/// A run that offers its metrics at a port of its own, and where.
+/// Starts a run that offers metrics at a free port. Returns the run and its address.
 fn run(playground: &Playground) -> (Started, String) {
     playground.write("pipeline.toml", &TRACKING.replacen("[stage", "metrics = \"127.0.0.1:0\"\n[stage", 1));
     let mut run = playground.start(&["run", "--set", "source.rate_hz=50"]);
@@ -26,7 +26,7 @@ fn run(playground: &Playground) -> (Started, String) {
     (run, host)
 }
 
-/// Where a run says that its metrics are.
+/// The address at which a run says that it offers its metrics.
 fn host(run: &mut Started) -> String {
     run.wait_for_text("metrics are at http://");
     let stderr = run.stderr();
@@ -38,12 +38,12 @@ fn get(host: &str) -> Answer {
     get_with(host, "")
 }
 
-/// What is answered to a request with such a line more.
+/// The answer to a request with this further line.
 fn get_with(host: &str, line: &str) -> Answer {
     exchange(host, &format!("GET /metrics HTTP/1.1\r\nHost: {host}\r\n{line}Connection: close\r\n\r\n"))
 }
 
-/// The first line of an answer. A server that has no room may go away before all was asked.
+/// First line of an answer. A server without room may close the connection before the whole request is sent.
 fn first_line(host: &str) -> io::Result<String> {
     let mut stream = TcpStream::connect(host)?;
     stream.set_read_timeout(Some(ANSWER_TIMEOUT))?;
@@ -53,10 +53,10 @@ fn first_line(host: &str) -> io::Result<String> {
     Ok(line)
 }
 
-/// What was told of one series, by its name and labels.
+/// Samples by series, which is a name with labels: the text of the value, and the value.
 type Samples = BTreeMap<(String, BTreeMap<String, String>), (String, f64)>;
 
-/// The samples in a text; none where there is no Python with the parser, which is said.
+/// Parses the samples of a text. Without a Python that has the parser, prints that the test is skipped, and returns `None`.
 fn parse(text: &str) -> Option<Samples> {
     let python = python_with("prometheus_client", "has no prometheus-client; nothing was shown")?;
     let mut command = Command::new(python);
@@ -94,7 +94,7 @@ fn metrics_equal_the_counts_of_top_by_an_independent_parser() {
     let top = playground.top();
     let after = parse(&get(&host).text()).unwrap();
 
-    // What is counted by one who looks between two others lies between what these have counted.
+    // A count that is read between two others lies between them.
     let between = |name: &str, labels: &[(&str, &str)], shown: &Json| {
         let (low, high, shown) = (value(&before, name, labels), value(&after, name, labels), shown.as_f64().unwrap());
         assert!(low <= shown && shown <= high && high > 0.0, "{name} {labels:?}: {low}, {shown}, {high}");
@@ -116,7 +116,7 @@ fn metrics_equal_the_counts_of_top_by_an_independent_parser() {
         between("conicflow_received_messages_total", &edge, &input["received"]);
         assert_eq!(value(&after, "conicflow_dropped_messages_total", &edge), 0.0, "{edge:?} is lossless");
         assert!(value(&after, "conicflow_latency_seconds_count", &edge) > 0.0);
-        // The median lies in the bucket where half of all have been counted.
+        // The median lies in the bucket in which the count passes half of the total.
         let (count, p50) =
             (value(&after, "conicflow_latency_seconds_count", &edge), input["latency_p50_ms"].as_f64().unwrap() * 1e-3);
         let ends = after
@@ -132,7 +132,7 @@ fn metrics_equal_the_counts_of_top_by_an_independent_parser() {
     run.end();
 }
 
-/// What the dashboard asks Prometheus for is told, and of all that is told it shows the most.
+/// Each metric in the queries of the dashboard exists, and the dashboard shows most of the metrics.
 #[test]
 fn the_dashboard_queries_only_existing_metrics() {
     let playground = Playground::new();
@@ -164,7 +164,7 @@ fn the_dashboard_queries_only_existing_metrics() {
 fn slow_and_malformed_requests_do_not_delay_the_run() {
     let playground = Playground::new();
     let (mut run, host) = run(&playground);
-    // Some begin a request and leave it at that, others read no answer.
+    // Some clients send half of a request, others read no answer.
     let half = |request: &str| {
         let mut stream = TcpStream::connect(&host).unwrap();
         stream.write_all(request.as_bytes()).unwrap();

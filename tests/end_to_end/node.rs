@@ -1,16 +1,16 @@
-//! `conicflow node`: stages that are started one by one, each by hand.
+//! `conicflow node`: stages that are started one by one by hand.
 
 use crate::outside_stage::with_nearest_object;
 use crate::processes::at_work;
 use crate::support::{Ended, Playground, TRACKING, TRACKING_STAGES};
 use std::fs;
 
-/// [`TRACKING`] over three frames.
+/// [`TRACKING`] with three frames.
 fn three_frames() -> String {
     TRACKING.replace("rate_hz    = 0", "rate_hz = 0\nframes = 3")
 }
 
-/// Starts these stages of a playground's pipeline, each by a command of its own, and waits until all have ended.
+/// Starts these stages of a pipeline, each with its own command, and waits until all have ended.
 fn run_each(playground: &Playground, stages: &[&str]) -> Vec<Ended> {
     let started: Vec<_> = stages.iter().map(|stage| playground.start(&["node", stage])).collect();
     started.into_iter().map(|stage| stage.wait().expect_code(0)).collect()

@@ -1,4 +1,4 @@
-//! Stages from outside this repository: a program of its own in the middle of a pipeline, and a camera at its beginning.
+//! Stages of other repositories: a program in the middle of a pipeline, and a camera at its beginning.
 
 use crate::support::{Ended, Playground, StageRow, Started, TRACKING, example};
 use rustix::fs::{CWD, Mode, mkfifoat};
@@ -8,7 +8,7 @@ use std::io::Write as _;
 use std::os::unix::fs::DirBuilderExt;
 use std::process::Command;
 
-/// What tracks objects, with `nearest_object` before the tracker and a record of what went into it.
+/// A pipeline that tracks objects, with `nearest_object` before the tracker, and a record of that stage's input.
 pub fn with_nearest_object(keys: &str) -> Playground {
     let program = example("nearest_object");
     let (before, after) = TRACKING.split_once("[stage.tracker]").unwrap();
@@ -114,7 +114,7 @@ fn a_stage_of_another_version_than_its_launcher_says_so() {
     assert!(ended.stderr.contains(expected) && ended.stderr.contains(", 99)\n  hint: "), "{ended:?}");
 }
 
-/// What finds objects in the frames that `raw_camera` takes from `depth.z16`.
+/// A pipeline that finds objects in the frames that `raw_camera` reads from `depth.z16`.
 fn with_raw_camera() -> Playground {
     let program = example("raw_camera");
     let (_, after) = TRACKING.split_once("[stage.extractor]").unwrap();
@@ -135,7 +135,7 @@ restart     = "never"
     Playground::with_pipeline(&text)
 }
 
-/// A ball of radius 0.15 m before a wall, in millimetres, as a camera sees it whose axis goes through the middle of the image.
+/// Depth image in millimetres of a ball of radius 0.15 m before a wall; the optical axis goes through the middle of the image.
 pub fn ball_before_a_wall(width: usize, height: usize, focal_px: f64) -> Vec<u16> {
     let depth = |pixel: usize| {
         let from_middle = |index: usize, count: usize| (index as f64 - (count as f64 - 1.0) / 2.0) / focal_px;
@@ -148,7 +148,7 @@ pub fn ball_before_a_wall(width: usize, height: usize, focal_px: f64) -> Vec<u16
     (0..width * height).map(depth).collect()
 }
 
-/// A frame of that camera, in bytes.
+/// A frame of that camera in bytes.
 fn frame() -> Vec<u8> {
     ball_before_a_wall(160, 120, 150.0).into_iter().flat_map(u16::to_le_bytes).collect()
 }
@@ -158,7 +158,7 @@ fn a_camera_program_of_the_user_sends_images_through_a_pipe() {
     let playground = with_raw_camera();
     let pipe = playground.path("depth.z16");
     mkfifoat(CWD, &pipe, Mode::RUSR | Mode::WUSR).unwrap();
-    // A pipe that nobody reads is waited for: not by the test, which fails then.
+    // A pipe without a reader blocks its writer: this thread, and not the test, which then fails.
     let camera = std::thread::spawn(move || {
         let mut writer = fs::OpenOptions::new().write(true).open(&pipe).unwrap();
         (0..5).for_each(|_| writer.write_all(&frame()).unwrap());

@@ -1,4 +1,4 @@
-//! What a run reads stays as it is to the byte, whatever its stages are asked to write.
+//! A run never changes the files that it reads, whatever its stages are asked to write.
 
 use crate::processes::wait_for_lines;
 use crate::support::{Playground, RECORDING, TRACKING};
@@ -8,13 +8,13 @@ use std::fs;
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 
-/// Sinks of [`RECORDING`] and of [`REPLAY`], whose sources have the same topics.
+/// A sink of [`RECORDING`] and of [`REPLAY`], whose sources have the same topics.
 const JSON: &str = "\n[stage.sink]\nnode = \"json_sink\"\ninput = { topic = \"ellipses\", delivery = \"lossless\" }\n";
 const PICTURES: &str =
     "\n[stage.sink]\nnode = \"picture_sink\"\ninput = { topic = \"ellipses\", delivery = \"lossless\" }\n";
 const MCAP: &str = "\n[stage.sink]\nnode = \"mcap_sink\"\ninput = { topic = \"ellipses\", delivery = \"lossless\" }\n";
 
-/// Replays what [`record`] has recorded.
+/// Replays the recording of [`record`].
 const REPLAY: &str = r#"
 name = "replay"
 
@@ -38,7 +38,7 @@ fn frames() -> Playground {
     playground
 }
 
-/// The same with a recording `run.mcap` of them.
+/// The frames with a recording of them, `run.mcap`.
 fn record() -> Playground {
     let playground = frames();
     let depth = "inputs = { depth = { topic = \"depth\", delivery = \"lossless\" } }\n";
@@ -47,7 +47,7 @@ fn record() -> Playground {
     playground
 }
 
-/// All files of a folder and of those in it, with their bytes.
+/// All files in a folder and its subfolders, with their bytes.
 fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let paths = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
     paths
@@ -58,7 +58,7 @@ fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
         .collect()
 }
 
-/// Makes sure that a pipeline is refused with such a text, and that nothing is written.
+/// Asserts that a pipeline is refused with this text, and that nothing is written.
 fn expect_refused(playground: &Playground, pipeline: &str, expected: &str) {
     playground.write("pipeline.toml", pipeline);
     let before = contents(&playground.path(""));
@@ -73,7 +73,7 @@ fn expect_refused(playground: &Playground, pipeline: &str, expected: &str) {
 fn no_stage_writes_over_frames_or_what_belongs_to_them() {
     let playground = frames();
     fs::copy(playground.path("frames/0.png"), playground.path("frames/frame_000004.png")).unwrap();
-    // What comes there would make another recording of them; the link leads to what is not there yet.
+    // A file at the target of the link would become a frame; the target does not exist yet.
     symlink("frames/depth.txt", playground.path("dangling")).unwrap();
     for (sink, parameters, expected) in [
         (PICTURES, "path = \"frames\"", "from which `path` of stage `source` reads"),
@@ -163,7 +163,7 @@ fn detect_writes_over_nothing_that_it_reads() {
     }
 }
 
-/// Also a second time, over what was written the first.
+/// Files of a first run may also be overwritten by a second one.
 #[test]
 fn files_that_no_stage_reads_may_be_written_beside_the_frames() {
     let playground = frames();

@@ -1,4 +1,4 @@
-//! A /dev/shm of one's own for a test, so that it can be small, full or littered. It needs root, `unshare` and `nsenter`.
+//! A /dev/shm of a test's own, which may be small, full or littered. It needs root, `unshare` and `nsenter`.
 
 use super::support::{Ended, Playground, Started, wait_until, within};
 use rustix::process::geteuid;
@@ -7,13 +7,13 @@ use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, SystemTime};
 
-/// A /dev/shm that nobody else sees, gone when this is.
+/// A /dev/shm that no other process sees. It vanishes when this value is dropped.
 pub struct OwnSharedMemory {
     holder: Child,
 }
 
 impl OwnSharedMemory {
-    /// A /dev/shm of this size; `None`, said loudly, where this user cannot make one.
+    /// Creates a /dev/shm of this size. If this user cannot, prints that the test is skipped, and returns `None`.
     pub fn new(size: &str) -> Option<Self> {
         let script = format!("mount -t tmpfs -o size={size},mode=1777 tmpfs /dev/shm && exec sleep 1000");
         let mut command = Command::new("unshare");
@@ -55,7 +55,7 @@ impl OwnSharedMemory {
         names
     }
 
-    /// Makes all files look as if they had been written an hour ago.
+    /// Sets the times of all files to an hour ago.
     pub fn age(&self) {
         for name in self.files() {
             let file = File::options().write(true).open(self.folder().join(name)).unwrap();

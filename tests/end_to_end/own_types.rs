@@ -1,4 +1,4 @@
-//! Item types of programs of one's own, which the pipeline file describes and `conicflow` itself does not know.
+//! Item types of a user's programs, which the pipeline file describes and `conicflow` itself does not know.
 
 use crate::bridge::{joined, link, loopback, machines, start, without_times};
 use crate::support::{Playground, TRACKING, example};
@@ -6,7 +6,8 @@ use serde_json::Value as Json;
 
 const FIELDS: &str = r#"{ position = "f64[3]", width = "f64", id = "u32", shape = "text[12]" }"#;
 
-/// [`TRACKING`] up to the objects, which the program `grasps` turns into items of its own type, of these fields, and reads.
+/// [`TRACKING`] up to the objects. The program `grasps` turns these into items of its own type with these fields, and reads them
+/// again.
 fn with_grasps(fields: &str) -> String {
     let (before, _) = TRACKING.split_once("[stage.tracker]").unwrap();
     let program = example("grasps");
@@ -38,7 +39,7 @@ path  = "grasps.jsonl"
     )
 }
 
-/// A grasp in words: the frame, its number and shape; and its numbers.
+/// A grasp as text with its numbers: the frame, its number and shape; and the numbers.
 type GraspInWords = (String, Vec<f64>);
 
 fn number(value: &Json) -> f64 {
@@ -50,7 +51,7 @@ fn grasp_in_words(line: &Json, id: &Json, shape: &Json, place: &Json, width: f64
     (words, place.as_array().unwrap().iter().map(number).chain([width]).collect())
 }
 
-/// What the planner makes of a line of objects.
+/// The grasps that the planner derives from a line of objects.
 fn planned(line: &Json) -> Vec<GraspInWords> {
     let objects = line["objects"].as_array().unwrap().iter().enumerate();
     let plan = |(id, object): (usize, &Json)| {
@@ -59,7 +60,7 @@ fn planned(line: &Json) -> Vec<GraspInWords> {
     objects.map(plan).collect()
 }
 
-/// What a line of grasps says.
+/// The grasps in a line of JSON.
 fn written(line: &Json) -> Vec<GraspInWords> {
     let grasps = line["grasps"].as_array().unwrap().iter();
     let grasp_of =
@@ -67,13 +68,13 @@ fn written(line: &Json) -> Vec<GraspInWords> {
     grasps.map(grasp_of).collect()
 }
 
-/// What the gripper noted: the frame, number, shape, and four numbers.
+/// The grasp in a line of the gripper: frame, number, shape, and four numbers.
 fn noted(line: &str) -> GraspInWords {
     let words: Vec<_> = line.split(' ').collect();
     (words[..3].join(" "), words[3..].iter().map(|number| number.parse().unwrap()).collect())
 }
 
-/// Makes sure that these are the same, but for what reading a number from JSON changes in its last digit.
+/// Asserts that both are equal up to the last digit, which may change when a number is read from JSON.
 fn expect_same(some: &[GraspInWords], others: &[GraspInWords]) {
     assert_eq!(some.len(), others.len());
     for ((words, numbers), (other_words, other_numbers)) in some.iter().zip(others) {

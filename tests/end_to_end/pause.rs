@@ -1,5 +1,5 @@
-//! Pausing a run and letting it make one frame: by keys at its terminal, and from the page; and a terminal that is as it was
-//! before.
+//! Pauses a run and steps it by single frames, by keys at its terminal and from the page, and checks that the terminal is as
+//! before afterwards.
 
 use crate::support::{Playground, Started, TRACKING, example, signal, terminal, tracking_behind, wait_until};
 use crate::view::{Page, items, recording};
@@ -16,16 +16,16 @@ use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-/// A terminal with nobody at it but the test.
+/// A terminal that only the test uses.
 struct Terminal {
     keys: File,
     inner: OwnedFd,
-    /// What was written to it.
+    /// Text that was written to it.
     text: Arc<Mutex<String>>,
 }
 
 impl Terminal {
-    /// None where nothing can give a program a session of its own, or this shell is not there.
+    /// Opens a terminal. `None` if no program can give a process its own session, or this shell is not installed.
     fn open(shell: &str) -> Option<Self> {
         let is_there = |program: &str, argument| Command::new(program).arg(argument).output().is_ok();
         if !is_there("setsid", "--version") || !is_there(shell, "-c") {
@@ -43,7 +43,7 @@ impl Terminal {
         Some(Self { keys, inner, text })
     }
 
-    /// What starts a program in a session of its own, whose terminal this is.
+    /// A command that starts a program in its own session, with this terminal as controlling terminal.
     fn command(&self, playground: &Playground, program: &[&str]) -> Command {
         let mut command = playground.command_of("setsid".as_ref(), &[&["--ctty"], program].concat());
         let end = || self.inner.try_clone().unwrap();
@@ -55,19 +55,19 @@ impl Terminal {
         self.keys.write_all(keys.as_bytes()).unwrap();
     }
 
-    /// Ends the shell at it, which hears no request to end.
+    /// Ends the shell at the terminal, which ignores SIGTERM.
     fn leave(&mut self, shell: Started) {
         self.press("exit 0\n");
         shell.wait().expect_code(0);
     }
 
-    /// Whether it gives keys as they are pressed, and does not show them.
+    /// Whether it delivers each key when it is pressed, without an echo.
     fn gives_keys(&self) -> bool {
         let modes = tcgetattr(&self.inner).unwrap().local_modes;
         !modes.intersects(LocalModes::ICANON | LocalModes::ECHO)
     }
 
-    /// Whether it is as it was before.
+    /// Whether its modes are as before.
     fn is_as_before(&self) -> bool {
         tcgetattr(&self.inner).unwrap().local_modes.contains(LocalModes::ICANON | LocalModes::ECHO | LocalModes::ISIG)
     }
@@ -75,7 +75,7 @@ impl Terminal {
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_conicflow");
 
-/// A process of the run that was started as `conicflow` with this word in its command line.
+/// The process of the run that is a `conicflow` with this word in its command line.
 fn process_with(playground: &Playground, word: &str) -> Option<u32> {
     let arguments = |process: &u32| std::fs::read_to_string(format!("/proc/{process}/cmdline")).unwrap_or_default();
     playground.processes().into_iter().find(|process| {
@@ -84,7 +84,7 @@ fn process_with(playground: &Playground, word: &str) -> Option<u32> {
     })
 }
 
-/// The number of the last frame, when the run stands still and all that was under way is delivered.
+/// Number of the last frame, when the run is paused and everything is delivered.
 fn standing_at(playground: &Playground) -> u64 {
     let mut last = 0;
     wait_until("the run stands still", || {
@@ -95,7 +95,8 @@ fn standing_at(playground: &Playground) -> u64 {
     last
 }
 
-/// Makes sure that a run is paused for so many seconds: longer than a stage may be silent, or the run is to last.
+/// Asserts that a run stays paused for this number of seconds, which is longer than a stage may be silent and longer than the run
+/// is to last.
 fn pause_goes_on(playground: &Playground, seconds: u64) {
     let paused = std::time::Instant::now();
     while paused.elapsed().as_secs() < seconds {
@@ -151,7 +152,7 @@ fn a_paused_run_ends_in_order_and_its_clock_stops() {
 fn the_terminal_is_given_back_after_a_crash_and_while_the_run_is_stopped() {
     let playground = Playground::with_pipeline(TRACKING);
     let Some(mut terminal) = Terminal::open("dash") else { return };
-    // A shell that leaves the modes of its terminal alone.
+    // This shell does not change the modes of its terminal.
     let shell = Started::watched(terminal.command(&playground, &["dash", "-i"]));
     let begin = |terminal: &mut Terminal| {
         terminal.press(&format!("{PROGRAM} run --set source.rate_hz=20\n"));
@@ -165,7 +166,7 @@ fn the_terminal_is_given_back_after_a_crash_and_while_the_run_is_stopped() {
     wait_until("it gives keys again", || terminal.gives_keys());
     terminal.press(" ");
     standing_at(&playground);
-    // The launcher cannot see to anything any more.
+    // A killed launcher cannot restore anything.
     signal(process_with(&playground, "run").unwrap(), Signal::KILL);
     wait_until("it is given back after a crash", || terminal.is_as_before());
     wait_until("nothing is left", || process_with(&playground, "keys").is_none());
@@ -235,7 +236,7 @@ fn a_step_is_shown_to_a_browser_that_did_not_ask_for_a_while() {
     page.frame("tracks", |json| !items(json).is_empty());
     assert_eq!(page.send_command(&json!({ "do": "pause" })), 204);
     let at = standing_at(&playground);
-    // As long as a browser needs that draws slowly: nobody is counted as looking any more.
+    // A browser that draws slowly may need this long. The run no longer counts the page as an onlooker.
     let away = std::time::Instant::now();
     while away.elapsed().as_secs() < 5 {
         playground.top();
@@ -245,9 +246,9 @@ fn a_step_is_shown_to_a_browser_that_did_not_ask_for_a_while() {
     page.frame("the step", |json| json["frame"]["sequence"] == at + 1);
 }
 
-/// A camera of 32x24 pixels behind a pipe, which goes on whether somebody takes its frames or not.
+/// A camera of 32x24 pixels behind a pipe, which goes on whether its frames are read or not.
 struct Camera {
-    /// Frames that found room in the pipe.
+    /// Number of frames for which the pipe had room.
     taken: Arc<AtomicU64>,
     is_over: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
@@ -257,12 +258,13 @@ impl Camera {
     fn start(playground: &Playground) -> Self {
         let path = playground.path("depth.z16");
         mkfifoat(CWD, &path, Mode::RUSR | Mode::WUSR).unwrap();
-        // Also read by the test, so that it is open before the run and after it; full, it is not waited for.
+        // The test opens the pipe for reading, too, so that it is open before and after the run. A full pipe does not block the
+        // camera.
         let pipe = rustix::fs::open(&path, OFlags::RDWR | OFlags::NONBLOCK, Mode::empty()).unwrap();
         let (taken, is_over) = (Arc::<AtomicU64>::default(), Arc::<AtomicBool>::default());
         let (count, ends) = (Arc::clone(&taken), Arc::clone(&is_over));
         let thread = thread::spawn(move || {
-            // No more than 4096 bytes: they go into the pipe as one, or not at all.
+            // At most 4096 bytes, so that the write is atomic.
             let image = [0xe8, 0x03].repeat(32 * 24);
             while !ends.load(Ordering::Relaxed) {
                 let written = rustix::io::write(&pipe, &image);
@@ -273,7 +275,7 @@ impl Camera {
         Self { taken, is_over, thread: Some(thread) }
     }
 
-    /// The stage that takes its frames.
+    /// The stage that reads its frames.
     fn stage() -> String {
         let program = example("raw_camera");
         format!(
@@ -289,7 +291,7 @@ noise       = {{ floor_m = 0.0, growth_per_m = 0.002, knee_m = 0.0, step_per_m =
         )
     }
 
-    /// How many frames were taken of it.
+    /// Number of frames that were read from the pipe.
     fn taken(&self) -> u64 {
         self.taken.load(Ordering::Relaxed)
     }
@@ -302,7 +304,7 @@ impl Drop for Camera {
     }
 }
 
-/// More frames than the pipe has room for (64 KiB), so that somebody has to take them out.
+/// More frames than fit into the pipe (64 KiB), so that some must have been read.
 const MORE_THAN_WAIT: u64 = 100;
 
 #[test]

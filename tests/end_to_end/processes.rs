@@ -1,4 +1,4 @@
-//! The processes of a run: who starts whom, what is survived, how it ends, and that nothing stays behind.
+//! The processes of a run: which process starts which, what a run survives, how it ends, and that nothing is left behind.
 
 use crate::support::{
     Playground, Started, TRACKING, TRACKING_STAGES, TRACKING_TOPICS, copy_program, environment, hearing_hangups,
@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Stdio};
 use std::time::Duration;
 
-/// A playground, and a run of these stages there at so many frames per second, which delivers until it is told to end.
+/// A playground with a run of these stages at this rate, which has begun to deliver and has no end.
 pub fn at_work(text: &str, rate_hz: u32) -> (Playground, Started) {
     let playground = Playground::with_pipeline(text);
     let mut run = playground.start(&["run", "--set", &format!("source.rate_hz={rate_hz}")]);
@@ -21,18 +21,19 @@ pub fn at_work(text: &str, rate_hz: u32) -> (Playground, Started) {
     (playground, run)
 }
 
-/// A paced run that goes on until it is told to end.
+/// Starts a paced run without an end.
 pub fn start(playground: &Playground) -> Started {
     Started::new(hearing_hangups(&playground.command(&["run", "--set", "source.rate_hz=50"])))
 }
 
-/// Waits until a run delivers more than it has so far.
+/// Waits until a run delivers more than so far.
 pub fn wait_for_lines(run: &mut Started, playground: &Playground) {
     let before = playground.count("tracks.jsonl");
     run.wait_until("it delivers", || playground.count("tracks.jsonl") > before + 3);
 }
 
-/// Waits until each writer before a stage that was stopped waits for the one after it, and the source has made nothing meanwhile.
+/// Waits until each writer before a stopped stage is blocked by the stage after it, and the source has made no further frame in
+/// the meantime.
 pub fn wait_for_standstill(run: &mut Started, playground: &Playground, stopped: &str) {
     let last = TRACKING_TOPICS.iter().position(|(_, _, reader)| *reader == stopped).unwrap();
     let mut made = Json::Null;
@@ -46,7 +47,7 @@ pub fn wait_for_standstill(run: &mut Started, playground: &Playground, stopped: 
     });
 }
 
-/// The processes of a launcher's stages, by their names.
+/// The processes of a launcher's stages, by name.
 pub fn stages_of(launcher: u32) -> BTreeMap<String, u32> {
     let children = processes().filter(|process| parent(*process) == Some(launcher));
     children.filter_map(|process| Some((environment(process, "CONICFLOW_STAGE")?, process))).collect()
@@ -74,7 +75,8 @@ fn each_stage_is_a_process_whose_parent_is_the_launcher_and_top_shows_it_at_work
 #[test]
 fn top_and_the_summary_count_what_the_file_of_results_has() {
     let (playground, mut run) = at_work(TRACKING, 50);
-    // What is under way arrives, and then nothing moves; the source may stand still between sending and counting.
+    // First everything under way arrives, then nothing moves. The source may be stopped between sending a message and counting
+    // it.
     let source = stages_of(run.id())["source"];
     signal(source, Signal::STOP);
     let counts = |state: &Json, list: &str, key: &str| -> Vec<u64> {
@@ -121,10 +123,11 @@ fn a_reader_that_never_reads_does_not_keep_a_run_from_ending() {
     expect_nothing_lives(&playground);
 }
 
-/// More messages than are on their way through five stages and the queues between them.
+/// More messages than five stages and the queues between them hold.
 pub const UNDER_WAY: u64 = 24;
 
-/// Kills each stage in turn, when the one before has worked again: it comes back, the others stay, and results come on, in order.
+/// Kills each stage in turn, when the one before has worked again. Asserts that each restarts, that the others are not restarted,
+/// and that results arrive in order.
 fn kill_each_stage(delivery: &str) {
     let (playground, mut run) = at_work(&TRACKING.replace("lossless", delivery), 50);
     let launcher = run.id();
@@ -213,7 +216,7 @@ fn a_run_goes_on_when_the_reader_of_its_log_has_gone() {
     assert_eq!(playground.sequences("tracks.jsonl").len(), 30);
 }
 
-/// Closes the end of a pipe that a program's log goes to, and waits for the program.
+/// Closes the pipe into which a program logs, and waits for the program.
 fn read_nothing(mut program: Child) -> Option<i32> {
     drop(program.stderr.take());
     program.wait().unwrap().code()
@@ -315,7 +318,7 @@ again = { program = ["sh", "-c", "echo start >> starts.txt"], input = "tracks", 
     run.end();
 }
 
-/// The files in shared memory that a process uses, but for one of 16 bytes that all runs on a machine share.
+/// The files in shared memory that a process uses, except one of 16 bytes that all runs on a machine share.
 pub fn shared_files(process: u32) -> BTreeSet<PathBuf> {
     let maps = fs::read_to_string(format!("/proc/{process}/maps")).unwrap_or_default();
     let paths =
@@ -323,8 +326,8 @@ pub fn shared_files(process: u32) -> BTreeSet<PathBuf> {
     paths.filter(|path| path.extension().is_none_or(|end| end != "global_mgmt")).collect()
 }
 
-/// What the names of all files begin with that runs in the playground have in shared memory: `conicflow_`, and eight digits of
-/// their folder, which is there as soon as one has begun.
+/// Prefix of the names of all files of a playground's runs in shared memory: `conicflow_` and eight digits of the runtime folder,
+/// which exists as soon as a run has begun.
 pub fn shared_prefix(playground: &Playground) -> String {
     let about = fs::metadata(playground.runtime().join("shm")).unwrap();
     let bytes = [about.dev(), about.ino(), about.uid().into()].map(u64::to_le_bytes);
@@ -332,7 +335,7 @@ pub fn shared_prefix(playground: &Playground) -> String {
     format!("conicflow_{:08x}_", bytes.as_flattened().iter().fold(0x811c_9dc5_u32, add))
 }
 
-/// Waits until a run has something in shared memory; what the names of all of that begin with.
+/// Waits until a run has shared memory. Returns the prefix of its names.
 pub fn wait_for_shared_memory(run: &mut Started, playground: &Playground) -> String {
     run.wait_until("it has a folder", || playground.runtime().join("shm").is_dir());
     let prefix = shared_prefix(playground);
@@ -347,20 +350,20 @@ fn no_other_user_can_open_what_a_run_shares() {
     let shared = fs::read_dir("/dev/shm").unwrap().map(|entry| entry.unwrap().path());
     let own: Vec<_> = shared.filter(|path| path.file_name().unwrap().to_str().unwrap().starts_with(&prefix)).collect();
     assert!(own.len() > 20, "only {own:?}");
-    // What lies in the runtime folder nobody else can reach.
+    // No other user can reach what lies in the runtime folder.
     for path in own.iter().map(PathBuf::as_path).chain([playground.runtime()]) {
         let mode = path.metadata().map_or(0, |about| about.permissions().mode());
         assert_eq!(mode & 0o077, 0, "{}: {mode:o}", path.display());
     }
 }
 
-/// All files in shared memory whose names begin with this.
+/// All files in shared memory with this prefix.
 pub fn files_in_shared_memory(prefix: &str) -> Vec<String> {
     let names = fs::read_dir("/dev/shm").unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
     names.filter(|name| name.starts_with(prefix)).collect()
 }
 
-/// All files in a folder and those in it.
+/// All files in a folder and its subfolders.
 pub fn files_below(folder: &Path) -> Vec<PathBuf> {
     let paths = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
     paths.flat_map(|path| if path.is_dir() { files_below(&path) } else { vec![path] }).collect()
@@ -384,7 +387,7 @@ fn nothing_stays_in_shared_memory_however_runs_end() {
         signal(run.id(), [Signal::INT, Signal::INT, Signal::KILL, Signal::TERM][round % 4]);
         drop(run.wait());
         wait_until("all processes are gone", || playground.processes().is_empty());
-        // Where only the launcher was killed, the last of its stages sees to it.
+        // If only the launcher was killed, the last of its stages removes the rest.
         if round != ALL_KILLED {
             assert_eq!(files_in_shared_memory(&prefix), [""; 0], "left in round {round}");
         }
@@ -408,8 +411,8 @@ fn a_run_that_is_interrupted_as_soon_as_it_has_shared_memory_leaves_nothing() {
     }
 }
 
-/// A part of shared memory as a process leaves it that is killed in that moment: it has its name, no size yet, and nobody may
-/// read it.
+/// Leaves a segment of shared memory as a process does that is killed while it creates it: with a name, without a size, and not
+/// readable.
 fn begin(path: &Path) {
     fs::OpenOptions::new().write(true).create_new(true).mode(0o200).open(path).unwrap();
 }

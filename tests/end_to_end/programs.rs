@@ -1,5 +1,5 @@
-//! Programs that the tests start beside `conicflow`: stages from outside and a router. Each is this test binary, run again
-//! with nothing but the one test whose body is the program; so there is nothing to build but the tests.
+//! Programs that the tests start beside `conicflow`: stages of a user's own, and a router. Each one is this test binary, started
+//! with the one test whose body is the program. So only the tests have to be built.
 
 use conicflow_dataflow::{Context, Output, SideInput, SideInputs, Stage, StageError, run_stage};
 use conicflow_messages::{Ellipse, Header, Message, Nothing, Object};
@@ -11,10 +11,10 @@ use std::path::PathBuf;
 use std::process::{Command, ExitCode};
 use std::time::Duration;
 
-/// Environment variable: the endpoints that the router listens on, with `", "` between them.
+/// Environment variable with the endpoints on which the router listens, separated by `", "`.
 const ROUTER: &str = "CONICFLOW_TEST_ROUTER";
 
-/// The command of a program of this file, as a pipeline file writes it after `program =`.
+/// The command of a program of this file, for `program =` in a pipeline file.
 pub fn program(name: &str) -> String {
     let binary = std::env::current_exe().unwrap();
     format!("{:?}", [binary.to_str().unwrap(), "--ignored", "--nocapture", "--exact", &format!("programs::{name}")])
@@ -28,8 +28,8 @@ pub fn router(endpoints: &[String]) -> Command {
     command
 }
 
-/// Runs a stage, unless nobody launched this process for it. It ends with the code that a `main` would return, as a test that
-/// fails would end with a code of its own.
+/// Runs a stage, unless this process was not started by a launcher. It ends with the exit code of a `main`, because a test that
+/// fails has another one.
 fn run<S: Stage>() {
     if std::env::var_os("CONICFLOW_STAGE").is_none() {
         return;
@@ -67,7 +67,7 @@ fn run_router() {
     }
 }
 
-/// Passes on what it gets, but at one frame panics, hangs, so that it neither comes back nor listens, or writes nonsense.
+/// Forwards its input. At one frame it panics, hangs without a heartbeat, or writes nonsense.
 struct FaultyStage(FaultyStageConfig);
 
 /// Parameters of the faulty stage.
@@ -76,11 +76,11 @@ struct FaultyStage(FaultyStageConfig);
 struct FaultyStageConfig {
     /// The frame at which it panics.
     panic_at: Option<u64>,
-    /// At how many of the frames that follow it panics, too.
+    /// Number of frames after that one at which it panics, too.
     panics_more: u64,
     /// The frame at which it hangs.
     hang_at: Option<u64>,
-    /// The frame from which on, for three frames, it writes what is no object.
+    /// The first of three frames at which it writes a malformed object.
     nonsense_at: Option<u64>,
 }
 
@@ -113,7 +113,7 @@ impl Stage for FaultyStage {
     }
 }
 
-/// Numbers that are none, a kind that there is not, and any bits at all.
+/// Malformed objects: with values that are not finite, with an unknown kind, and of random bits; `None` if there are no more.
 fn nonsense(number: u64) -> Option<Object> {
     let mut object = Object::default();
     match number {
@@ -141,7 +141,7 @@ impl Default for NumbersConfig {
     }
 }
 
-/// The lines that a sink writes, each after the time that it takes.
+/// The lines that a sink writes, each after its delay.
 struct Numbers {
     file: File,
     delay: Duration,
@@ -160,7 +160,7 @@ impl Numbers {
     }
 }
 
-/// Writes the number of each image that it gets; its delay makes sure that frames are lost before it.
+/// Writes the number of each image. Because of its delay frames are lost before it.
 struct SlowSink(Numbers);
 
 impl Stage for SlowSink {
@@ -179,8 +179,8 @@ impl Stage for SlowSink {
     }
 }
 
-/// Writes the number of each list of objects, and those of the image and of the ellipses that came with it as side inputs
-/// of the same frame.
+/// Writes the number of each list of objects, and those of the image and of the ellipses of the same frame, which are its side
+/// inputs.
 struct PairingSink(Numbers);
 
 impl Stage for PairingSink {

@@ -1,6 +1,5 @@
-//! Two hosts joined by a bad radio, as in the field: what stays on the robot does not feel it, lists come before images, and
-//! nothing that was asked for without loss is lost. Needs root, `ip netns`, python3 and /dev/net/tun; where they are missing
-//! each test says so and shows nothing.
+//! Two hosts joined by a bad radio: it does not affect stages of the robot, lists arrive before images, and lossless edges lose
+//! nothing. The tests need root, `ip netns`, python3 and /dev/net/tun; without these they print that they are skipped.
 
 use super::bridge::machines;
 use super::certificates::{hand_over, make_certificates};
@@ -8,7 +7,7 @@ use super::hosts::{Hosts, MOST_STALE, ROBOT, nothing_is_lost, stale};
 use super::support::{Playground, Started};
 use std::time::Instant;
 
-/// The robot finds objects, and looks at them, as the base does, in the tables of these machines.
+/// The robot finds objects. Both machines read them, and have these tables in the pipeline file.
 fn lists_cross(robot: &str, base: &str) -> String {
     format!(
         r#"
@@ -28,7 +27,7 @@ lists     = {{ machine = "base", node = "json_sink", input = "objects", path = "
     )
 }
 
-/// Images uncompressed, of which the radio carries a part, and beside them lists.
+/// Sends uncompressed images, which exceed the rate of the radio, and lists beside them.
 fn everything_crosses() -> String {
     const IMAGES: &str = r#"
 again  = { machine = "base", node = "row_ellipse_extractor", input = { topic = "depth", compression = "none" }, output = "again" }
@@ -39,7 +38,7 @@ images = { machine = "base", node = "json_sink", input = "found", path = "images
     lists_cross(&format!("listen = {endpoints}\ninsecure = true"), &format!("connect = {endpoints}")) + IMAGES
 }
 
-/// What a sink has written, from a line on.
+/// The lines of a sink, beginning with some line.
 struct Written {
     first: u64,
     last: u64,
@@ -47,7 +46,7 @@ struct Written {
 }
 
 impl Written {
-    /// The quantile of the latencies.
+    /// Quantile of the latencies.
     fn latency(&self, quantile: f64) -> f64 {
         self.latencies_ms[(quantile * (self.latencies_ms.len() - 1) as f64) as usize]
     }
@@ -60,18 +59,18 @@ impl Written {
         Self { first: sequence(lines.first()), last: sequence(lines.last()), latencies_ms }
     }
 
-    /// Whether what came had waited in a queue: much of it, or, where little came, most of it.
+    /// Whether the messages had waited in a queue: many of them, or, if few arrived, most.
     fn is_backlog(&self) -> bool {
         stale(self.latencies_ms.iter().copied()) > MOST_STALE.min(self.latencies_ms.len() / 2)
     }
 
-    /// Share of the frames that came.
+    /// Share of the frames that arrived.
     fn share(&self) -> f64 {
         self.latencies_ms.len() as f64 / (self.last - self.first + 1) as f64
     }
 }
 
-/// The robot, by whose frames time is told.
+/// The robot, whose frames serve as a clock.
 struct Robot<'a> {
     machine: &'a Playground,
     run: Started,
@@ -82,13 +81,13 @@ impl Robot<'_> {
         self.machine.newest("local.jsonl")
     }
 
-    /// Lets the robot go on for so many frames.
+    /// Waits for this number of further frames of the robot.
     fn go_on(&mut self, frames: u64) {
         let (machine, target) = (self.machine, self.frame() + frames);
         self.run.wait_until("the robot goes on", || machine.newest("local.jsonl") >= target);
     }
 
-    /// What the robot does while `during` disturbs it.
+    /// The results of the robot while `during` disturbs it.
     fn watch(&mut self, what: &str, during: impl FnOnce(&mut Self)) -> Written {
         let from = self.machine.lines("local.jsonl").len();
         during(self);
@@ -99,14 +98,14 @@ impl Robot<'_> {
     }
 }
 
-/// What the sinks of the base write.
+/// Files of the sinks of the base.
 const FILES: [&str; 2] = ["lists.jsonl", "images.jsonl"];
-/// Windows of which one has to be good: on a host that is busy with other things many may be bad.
+/// Number of windows of which one has to be good: on a busy host many may be bad.
 const TRIES: usize = 5;
-/// The radio is dead for so many frames, of which a backlog has more that are stale than are let pass.
+/// Number of frames for which the radio is dead. A backlog of them would have more stale messages than permitted.
 const DEAD_FRAMES: u64 = 160;
 
-/// Both at work, and what the robot did before the base was there.
+/// Both machines while they run, and the results of the robot from before the base was started.
 struct Pair<'a> {
     robot: Robot<'a>,
     base: &'a Playground,
@@ -115,8 +114,8 @@ struct Pair<'a> {
 }
 
 impl Pair<'_> {
-    /// What the robot does while `during` disturbs the radio, and what the base has of lists and of images when all came that
-    /// was to come.
+    /// The results of the robot while `during` disturbs the radio, and the lists and images that have reached the base when no
+    /// more are to come.
     fn window(&mut self, what: &str, during: impl FnOnce(&mut Robot<'_>)) -> (Written, [Written; 2]) {
         let base = self.base;
         let before = FILES.map(|file| base.lines(file).len());
@@ -129,7 +128,7 @@ impl Pair<'_> {
         (robot, [0, 1].map(|index| show(base, FILES[index], before[index])))
     }
 
-    /// Repeats a window until the robot has not felt it, no backlog has come, and nothing is wrong with the lists.
+    /// Repeats a window until the robot was not affected, no backlog arrived, and the lists are complete.
     fn expect_a_good_window(
         &mut self,
         what: &str,
@@ -139,7 +138,7 @@ impl Pair<'_> {
         let mut faults = Vec::new();
         while faults.len() < TRIES {
             let (robot, files) = self.window(what, &during);
-            // Whoever waited for the radio would lose all frames; a host that is busy otherwise loses some, now and then.
+            // A stage that waits for the radio would lose all frames. On a busy host some are lost now and then.
             let unfelt =
                 robot.share() > 0.75 * self.alone.share() && robot.latency(0.5) < 2.0 * self.alone.latency(0.5) + 20.0;
             let is_stale = files.iter().any(Written::is_backlog);
@@ -157,7 +156,7 @@ impl Pair<'_> {
     }
 }
 
-/// What came to the base, from a line on.
+/// The results of the base, beginning with some line.
 fn show(base: &Playground, file: &str, from: usize) -> Written {
     let written = Written::of(base, file, from);
     let [p50, p99, most] = [0.5, 0.99, 1.0].map(|quantile| written.latency(quantile));
@@ -181,7 +180,7 @@ fn a_bad_radio_does_not_delay_the_robot_and_lists_stay_fresh_while_images_are_la
     base_run.wait_until("images arrive", arrives("images.jsonl", frame));
     base_run.wait_for_text("topic `objects` of machine `robot` comes by datagrams");
     let mut pair = Pair { robot, base, base_run, alone };
-    // The radio takes 100 ms, and every twentieth packet.
+    // The radio delays messages by 100 ms, and loses every twentieth packet.
     pair.expect_a_good_window(
         "radio slow",
         |robot| robot.go_on(150),
@@ -221,7 +220,7 @@ fn lossless_edges_lose_nothing_over_a_bad_radio() {
     nothing_is_lost(&hosts, 100, |_| {});
 }
 
-/// What comes of objects alone over ways that are encrypted.
+/// Sends only objects, over encrypted links.
 #[test]
 #[ignore = "measures, and shows little; cargo test -- --ignored --nocapture"]
 fn objects_arrive_by_encrypted_datagrams() {

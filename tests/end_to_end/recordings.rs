@@ -1,5 +1,5 @@
-//! Recordings: what a run records is replayed to the bit, from any stage on, also what a recorder that was killed has left;
-//! onlookers record without a change to the run; other programs read what is recorded, and what they record is read here.
+//! Recordings: a run's recording is replayed to the bit from any stage on, also if the recorder was killed; onlookers record
+//! without an effect on the run; other programs read the recordings, and their recordings are read here.
 
 use crate::bridge::without_times;
 use crate::processes::{at_work, stages_of, wait_for_lines};
@@ -12,10 +12,10 @@ use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-/// Frames of the runs.
+/// Number of frames of the runs.
 const FRAMES: &str = "60";
 
-/// A run that records all it makes, and writes the tracks as lines.
+/// A run that records all its topics, and writes the tracks as lines.
 fn recording() -> String {
     format!(
         r#"{TRACKING}
@@ -31,7 +31,7 @@ path   = "run.mcap"
     )
 }
 
-/// The same with a recording for its camera.
+/// Replaces the camera of a pipeline by a recording.
 fn replay(text: &str) -> String {
     let (before, after) = text.split_once("[stage.source]").unwrap();
     let rest = after.split_once("[stage.extractor]").unwrap().1;
@@ -39,7 +39,7 @@ fn replay(text: &str) -> String {
     format!("{before}[stage.source]\n{source}\n[stage.extractor]{rest}")
 }
 
-/// The stages behind the extractor, fed by recorded ellipses.
+/// The stages after the extractor, with recorded ellipses as their input.
 const FROM_ELLIPSES: &str = r#"
 name = "again"
 
@@ -76,10 +76,10 @@ fn the_recording_of_a_killed_recorder_is_replayed() {
     let playground = Playground::with_pipeline(&recording());
     let run = playground.start(&["run", "--set", "source.rate_hz=100", "--set", "recorder.split_s=1000"]);
     let size = || fs::metadata(playground.path("run.mcap")).map_or(0, |about| about.len());
-    // Chunks come into the file as they become whole, or after a second.
+    // A chunk is written when it is full, or after a second.
     wait_until("some of it is in the file", || size() > 50_000);
     signal(stages_of(run.id())["recorder"], Signal::KILL);
-    // It is started anew, and goes on beside what it has left.
+    // The recorder restarts, and writes another file beside the first.
     wait_until("it records again", || playground.path("run_1.mcap").exists());
     signal(run.id(), Signal::INT);
     run.wait();
@@ -104,7 +104,7 @@ fn a_recording_without_an_index_may_begin_with_many_unused_messages() {
     // A channel without a schema, and messages of it: number, sequence, two times, 8 bytes.
     let channel = record(4, &[&u16::MAX.to_le_bytes(), &[0; 2], &[1, 0, 0, 0, b'x'], &[0; 4], &[0; 4]]);
     let message = record(5, &[&u16::MAX.to_le_bytes(), &[0; 4 + 8 + 8 + 8]]);
-    // They stand between the header and all else, and the end of the file, which says where the rest is, is missing.
+    // The messages stand directly after the header. The end of the file, with the index, is missing.
     let header = 8 + 9 + u64::from_le_bytes(recorded[9..17].try_into().unwrap()) as usize;
     let (before, after) = recorded[..recorded.len() - 8].split_at(header);
     let patient = "rate_hz = 0\nrestart = { when = \"on_failure\", hang_s = 1 }\n";
@@ -117,7 +117,7 @@ fn a_recording_without_an_index_may_begin_with_many_unused_messages() {
         let begun = Instant::now();
         let ended = playground.conicflow(&["run", "replay.toml"]).expect_code(0);
         if begun.elapsed() < Duration::from_secs(2) {
-            // It was read at once, which shows nothing.
+            // The recording was read too fast for a kill to show anything.
             many *= 2;
             return false;
         }
@@ -146,7 +146,7 @@ fn a_recorder_that_is_replaced_leaves_two_recordings_and_no_empty_file() {
     }
 }
 
-/// Files that are there stay as they are.
+/// Existing files stay as they are.
 #[test]
 fn a_recording_that_begins_with_a_swap_has_its_own_path_and_continues_no_other_file() {
     let playground = Playground::with_pipeline(TRACKING);
@@ -175,7 +175,7 @@ fn the_record_command_ends_at_its_size_limit() {
 
 #[test]
 fn the_record_command_records_a_running_pipeline_until_it_ends() {
-    // Who only looks on gets what it has time for, on a busy machine too.
+    // An onlooker records only what it has time for, also on a busy machine.
     let (playground, mut run) = at_work(TRACKING, 25);
     let mut recorder = playground.start(&["record", "depth", "objects", "depth", "-o", "part.mcap"]);
     recorder.wait_for_text("records `depth`, `objects` into `part.mcap`");
@@ -190,7 +190,7 @@ fn the_record_command_records_a_running_pipeline_until_it_ends() {
     let made = run.end().stage("source").messages;
     let log = recorder.wait().expect_code(0).stderr;
     assert!(log.contains("recorded ") && log.contains("MB: depth "), "{log}");
-    // As many as were recorded, and in brackets those that it had no time for.
+    // The number of recorded messages, and in brackets the number of those that it had no time for.
     let (_, objects) = log.rsplit_once(", objects ").unwrap();
     let numbers = objects
         .lines()
@@ -201,7 +201,7 @@ fn the_record_command_records_a_running_pipeline_until_it_ends() {
     let numbers: Vec<_> = numbers.take(2).collect();
     assert!(numbers.iter().sum::<usize>() > 50, "{log}");
 
-    // The numbers of the frames are those of the run, in which the recording begins in the middle.
+    // The recording begins in the middle of the run, and has the run's frame numbers.
     let part = FROM_ELLIPSES.lines().filter(|line| !line.starts_with("assembler")).collect::<Vec<_>>().join("\n");
     let part = part.replace("run.mcap", "part.mcap");
     let part = part.replace("output = \"ellipses\"", "output = { topic = \"objects\", kind = \"objects\" }");
@@ -224,20 +224,20 @@ fn recordings_that_cannot_be_replayed_are_reported() {
     let bag = playground.conicflow(&["detect", "old.bag"]).expect_code(2);
     let command = "hint: pip install rosbags && rosbags-convert --src 'old.bag' --dst 'old' --dst-storage mcap";
     bag.expect_texts(&[command]);
-    // From within the folder of a bag, which has no name there.
+    // A path relative to the folder of the bag does not contain the name of the bag.
     playground.write("bag_0.db3", "SQLite format 3");
     let folder = playground.path(".").canonicalize().unwrap();
     let to = format!("rosbags-convert --src '.' --dst '{}.mcap' --dst-storage mcap", folder.display());
     playground.conicflow(&["detect", "bag_0.db3"]).expect_code(2).expect_texts(&[&to]);
 }
 
-/// Python with `rosbags`, `mcap` and `mcap-ros2-support`; none, said loudly, where there is no such.
+/// A Python with `rosbags`, `mcap` and `mcap-ros2-support`. Without one, prints that the test is skipped, and returns `None`.
 fn other_programs() -> Option<String> {
     let lacks = "has no rosbags, mcap and mcap-ros2-support; recordings were not exchanged with other programs";
     python_with("mcap.reader, mcap_ros2.decoder, rosbags", lacks)
 }
 
-/// What `recordings.py` prints.
+/// Output of `recordings.py`.
 fn script(python: &str, arguments: &[&Path]) -> String {
     let mut command = Command::new(python);
     let (mode, files) = arguments.split_first().unwrap();
@@ -245,15 +245,15 @@ fn script(python: &str, arguments: &[&Path]) -> String {
     Started::new(command).wait().expect_code(0).stdout
 }
 
-/// What `timeout` ends with where the program that it started did not end, unless it is killed with it.
+/// Exit code of `timeout` if the program did not end in time and was not killed.
 const TIMED_OUT: i32 = 124;
-/// A depth image alone has hundreds of colours; the window around it is grey.
+/// A depth image has hundreds of colours, and the window around it is grey.
 const COLOURS: usize = 1000;
 
 #[test]
 fn other_programs_read_recordings() {
     let Some(python) = other_programs() else { return };
-    // All three kinds, wide enough for them.
+    // Objects of all three kinds need wider images.
     let wide = recording().replace("width      = 64\nheight     = 48", "width      = 320\nheight     = 240");
     let playground = Playground::with_pipeline(&wide.replace("intrinsics = {", "# {"));
     playground.conicflow(&["run", "--frames", "30"]).expect_code(0);
@@ -282,8 +282,8 @@ fn other_programs_read_recordings() {
     assert!(channels.len() > 10 && channels.iter().all(|line| line.trim_start().starts_with("ok")), "{checked}");
     let shown = ["run.mcap", "--headless", "--bind", "127.0.0.1", "--port", "0", "--window-size", "800x500"];
     let mut most = None;
-    // Where a machine is busy Rerun takes the picture before it has read the file, or gives up what takes more than ten seconds
-    // to draw, and does not end then.
+    // On a busy machine Rerun may take the picture before it has read the file, or may give up a picture that takes more than ten
+    // seconds, and then not end.
     for _ in 0..5 {
         let shot = rerun(&[&shown[..], &["--screenshot-to", "shot.png"]].concat());
         if shot.stderr.contains("No graphics adapter") {
@@ -315,7 +315,7 @@ fn other_programs_read_recordings() {
     }
 }
 
-/// The objects of each frame, their stamps, and what was said.
+/// The objects of each frame, and their stamps.
 fn detected(playground: &Playground, path: &str) -> (Vec<Json>, Vec<u64>) {
     let ended = playground.conicflow(&["detect", path]).expect_code(0);
     let lines: Vec<Json> = ended.stdout.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
@@ -350,7 +350,7 @@ fn recordings_of_other_programs_are_read_in_every_encoding() {
         }
     }
     for name in begins("old") {
-        // The error has the command that converts it, which is tried as it stands.
+        // The error contains the command that converts the recording; the test runs this command.
         let refused = playground.conicflow(&["detect", &format!("others/{name}")]).expect_code(2).stderr;
         let command = refused.split_once("pip install rosbags && ").unwrap().1.lines().next().unwrap();
         let into = command.split_once("--dst '").unwrap().1.split('\'').next().unwrap();

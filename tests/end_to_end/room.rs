@@ -1,5 +1,5 @@
-//! The room in shared memory that a run asks for beforehand, against what it takes when every reader stands still and every
-//! queue is full.
+//! The shared memory that a run requests at its start, compared with what it uses when all readers are stopped and all queues are
+//! full.
 
 use super::processes::{shared_files, stages_of, wait_for_standstill};
 use super::support::{Playground, Started, TRACKING_TOPICS, signal, tracking_behind};
@@ -12,7 +12,7 @@ use std::fs;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
-/// A pipeline whose images are as large as those of most cameras, and made with little effort.
+/// A pipeline with images of the usual size, which cost little time.
 pub fn pipeline(delivery: &str) -> String {
     tracking_behind(
         "node = \"synthetic_source\"\nscene = \"tabletop\"\nwidth = 640\nheight = 480\nnoise = \"ideal\"\nrate_hz = 10\n",
@@ -31,7 +31,7 @@ pub fn messages(playground: &Playground, stage: &str) -> u64 {
     playground.top_stage(stage)["messages"].as_u64().unwrap()
 }
 
-/// Stops the readers from the last to the first, and each only when the writer before it has filled its queue.
+/// Stops the readers from the last to the first, each one when the writer before it has filled its queue.
 fn fill_all_queues(playground: &Playground, run: &mut Started) {
     let stages = stages_of(run.id());
     for (_, writer, reader) in TRACKING_TOPICS.iter().rev() {
@@ -41,7 +41,7 @@ fn fill_all_queues(playground: &Playground, run: &mut Started) {
     }
 }
 
-/// Stops the last reader, and waits until every writer waits for the one after it.
+/// Stops the last reader, and waits until each writer is blocked by the stage after it.
 fn stall(playground: &Playground, run: &mut Started) {
     signal(stages_of(run.id())["json"], Signal::STOP);
     wait_for_standstill(run, playground, "json");
@@ -51,7 +51,7 @@ fn bytes_of(files: &BTreeSet<PathBuf>) -> u64 {
     files.iter().filter_map(|path| Some(path.metadata().ok()?.blocks() * 512)).sum()
 }
 
-/// Bytes of these files that a process has come to use, which are fewer than those that it has reserved.
+/// Number of bytes of these files that a process has used, which are fewer than it has reserved.
 fn touched(process: u32, files: &BTreeSet<PathBuf>) -> u64 {
     let maps = fs::read_to_string(format!("/proc/{process}/smaps")).unwrap();
     let (mut lines, mut kilobytes) = (maps.lines(), 0);

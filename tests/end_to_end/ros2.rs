@@ -1,5 +1,5 @@
-//! The nodes that take part in ROS 2, with a Zenoh router and a bare Zenoh session in place of a robot: keys, attachments and
-//! tokens are those of `rmw_zenoh_cpp`, written down here a second time.
+//! The nodes that take part in ROS 2, with a Zenoh router and a bare Zenoh session in place of a robot. The keys, attachments and
+//! tokens of `rmw_zenoh_cpp` are written here independently of the nodes.
 
 use crate::bridge::loopback;
 use crate::routers::{router, session};
@@ -29,7 +29,7 @@ const MARKERS_HASH: &str = "RIHS01_86cb8800b6fb05b5eff1abd7a56f62a5641d3ae9a1c29
 const FRAME: &str = "camera_depth_optical_frame";
 const SMALL: Camera = Camera { width: 64, height: 48, fx: 50.0, fy: 50.0, cx: 31.5, cy: 23.5 };
 
-/// A session of a robot, which reaches the router.
+/// A session of a robot, connected to the router.
 fn robot(endpoint: &str) -> zenoh::Session {
     session("client", &[("connect/endpoints", &format!("[\"{endpoint}\"]"))])
 }
@@ -44,7 +44,7 @@ fn behind_router() -> (String, zenoh::Session, zenoh::Session) {
 /// A message with its key and its attachment.
 type ReceivedMessage = (String, Vec<u8>, Vec<u8>);
 
-/// The end of a topic as a robot's node has it.
+/// A topic as a node of the robot publishes it.
 struct RobotsTopic {
     session: zenoh::Session,
     key: String,
@@ -58,13 +58,13 @@ impl RobotsTopic {
 
     fn publish(&mut self, message: Vec<u8>) {
         self.sequence += 1;
-        // A test must not lose what a busy machine is slow to take.
+        // A busy machine is slow, and the test must not lose messages.
         let put = self.session.put(&self.key, message).congestion_control(CongestionControl::Block);
         put.attachment(attachment(self.sequence)).wait().unwrap();
     }
 
-    /// Holds a message for those who come later, as a publisher of `TRANSIENT_LOCAL` does: a cache below the topic's key answers
-    /// with the key of the topic itself.
+    /// Keeps a message for late subscribers, as a publisher of `TRANSIENT_LOCAL` does: a cache under a key below that of the
+    /// topic answers with the key of the topic itself.
     fn latch(&self, message: Vec<u8>) -> impl Sized + use<> {
         let (key, below) = (self.key.clone(), format!("{}/@adv/pub/{}/1/_", self.key, self.session.zid()));
         let answer = move |query: zenoh::query::Query| {
@@ -74,25 +74,25 @@ impl RobotsTopic {
     }
 }
 
-/// What goes with a message: its number, the time, and from whom it is.
+/// The attachment of a message: its number, the time, and the id of the publisher.
 fn attachment(sequence: i64) -> Vec<u8> {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_nanos() as i64;
     [&sequence.to_le_bytes()[..], &now.to_le_bytes(), &[16], &[3; 16]].concat()
 }
 
-/// The depth topic of a camera, with what tells of it.
+/// The depth topic of a camera, and its camera info.
 fn camera_topics(session: &zenoh::Session) -> [RobotsTopic; 2] {
     topics(session, "image_rect_raw", "Image", IMAGE_HASH)
 }
 
-/// A topic of a camera whose messages are of this type, with what tells of the camera.
+/// A topic of a camera with messages of this type, and its camera info.
 fn topics(session: &zenoh::Session, name: &str, kind: &str, hash: &str) -> [RobotsTopic; 2] {
     let messages = format!("0/camera/depth/{name}/sensor_msgs::msg::dds_::{kind}_/{hash}");
     let info = format!("0/camera/depth/camera_info/sensor_msgs::msg::dds_::CameraInfo_/{INFO_HASH}");
     [messages, info].map(|key| RobotsTopic::new(session, &key))
 }
 
-/// What tells of a camera.
+/// The camera info of a camera.
 fn info_of(camera: &Camera, stamped: Stamped<'_>) -> Vec<u8> {
     CameraInfo::write(stamped, camera, Vec::new())
 }
@@ -102,7 +102,7 @@ fn plain(stamped: Stamped<'_>, camera: &Camera, pixels: &[u16]) -> Vec<u8> {
     write_units(stamped, (camera.width, camera.height), pixels, Vec::new())
 }
 
-/// An image of the small camera before a wall.
+/// An image of the small camera that looks at a wall.
 fn wall(stamped: Stamped<'_>) -> Vec<u8> {
     plain(stamped, &SMALL, &[1000; 64 * 48])
 }
@@ -116,7 +116,7 @@ fn compressed(stamped: Stamped<'_>, camera: &Camera, pixels: &[u16]) -> Vec<u8> 
     writer.finish()
 }
 
-/// The points of a depth image in millimetres, as `depth_image_proc` sends them: NaN where nothing was measured.
+/// The points of a depth image in millimetres, as `depth_image_proc` sends them; NaN without a measurement.
 fn cloud(stamped: Stamped<'_>, camera: &Camera, pixels: &[u16]) -> Vec<u8> {
     let point = |(place, &millimetres): (usize, &u16)| {
         let z = if matches!(millimetres, 0 | u16::MAX) { f64::NAN } else { f64::from(millimetres) * 1e-3 };
@@ -133,7 +133,7 @@ fn cloud(stamped: Stamped<'_>, camera: &Camera, pixels: &[u16]) -> Vec<u8> {
     writer.finish()
 }
 
-/// The tokens of those who take part.
+/// The liveliness tokens of all nodes, publishers and subscribers.
 fn tokens(session: &zenoh::Session) -> Vec<String> {
     let answers = session.liveliness().get("@ros2_lv/0/**").wait().unwrap();
     answers.iter().filter_map(|answer| Some(answer.into_result().ok()?.key_expr().to_string())).collect()
@@ -148,12 +148,12 @@ fn wait_for_token(session: &zenoh::Session, part: &str) -> String {
     found.unwrap()
 }
 
-/// The same stages with a camera of ROS 2.
+/// The stages of `text` with a ROS 2 camera as their source.
 fn by_ros(text: &str, endpoint: &str) -> String {
     by_topic(text, "image_rect_raw", endpoint)
 }
 
-/// The same stages with messages of this topic of a camera.
+/// The stages of `text` with messages of this topic of a camera as their source.
 fn by_topic(text: &str, topic: &str, endpoint: &str) -> String {
     let (before, after) = text.split_once("[stage.source]").unwrap();
     let rest = after.split_once("[stage.extractor]").unwrap().1;
@@ -163,18 +163,18 @@ fn by_topic(text: &str, topic: &str, endpoint: &str) -> String {
     )
 }
 
-/// A pipeline that tells its tracks to ROS 2.
+/// A pipeline that publishes its tracks in ROS 2.
 fn to_ros(endpoint: &str) -> String {
     let text = TRACKING.replace("rate_hz    = 0", "rate_hz    = 50");
     with_sink(&text, "input = \"tracks\"", endpoint)
 }
 
-/// The same stages and a sink of ROS 2 with these settings.
+/// The stages of `text` and a ROS 2 sink with these settings.
 fn with_sink(text: &str, settings: &str, endpoint: &str) -> String {
     format!("{text}\n[stage.ros]\nnode = \"ros2_sink\"\n{settings}\nconnect = [\"{endpoint}\"]\n")
 }
 
-/// Depth images of a scene, their camera, and where they are as files.
+/// Depth images of a scene as files in a playground, their camera, and their pixels.
 fn recorded(text: &str, frames: u64) -> (Playground, Camera, Vec<Vec<u16>>) {
     let playground = Playground::with_pipeline(text);
     let camera = playground.record_with_camera(Scene::built_in("tabletop").unwrap().unwrap(), 5, frames);
@@ -186,13 +186,14 @@ fn recorded(text: &str, frames: u64) -> (Playground, Camera, Vec<Vec<u16>>) {
     (playground, camera, images)
 }
 
-/// A message of ROS of a depth image in millimetres.
+/// Encodes a depth image in millimetres as a ROS message.
 type Encode = fn(Stamped<'_>, &Camera, &[u16]) -> Vec<u8>;
 
-/// The lines that frames of files give, and those that the same frames give as messages of such a topic.
+/// The lines of results for frames in files, and for the same frames as messages of a ROS topic.
 fn of_files_and_of_ros(name: &str, kind: &str, hash: &str, encode: Encode) -> [Vec<Json>; 2] {
     const FRAMES: u64 = 10;
-    // A unit of depth is a part of the noise, and clouds have smaller ones: a model that tells of noise makes them alike.
+    // The unit of depth contributes to the noise, and clouds have a smaller one. With a noise model other than the ideal one both
+    // have the same noise.
     let with_noise = |text: String| text.replace("\"ideal\"", "\"kinect_v1\"");
     let (files, camera, images) = recorded(&with_noise(RECORDING.to_owned()), FRAMES);
     files.conicflow(&["run"]).expect_code(0);
@@ -205,7 +206,7 @@ fn of_files_and_of_ros(name: &str, kind: &str, hash: &str, encode: Encode) -> [V
         let stamped = Stamped { stamp_ns: 1_700_000_000_000_000_000 + number as u64, frame_id: FRAME };
         info.publish(info_of(&camera, stamped));
         topic.publish(encode(stamped, &camera, image));
-        // As fast as the pipeline takes them: a topic of ROS waits for nobody.
+        // The next message is sent when the objects of an earlier one are written, because a ROS topic waits for no subscriber.
         run.wait_until("its objects are written", || of_ros.lines("objects.jsonl").len() + 2 > number);
     }
     run.wait().expect_code(0);
@@ -239,7 +240,7 @@ fn compressed_images_of_ros_give_the_objects_that_the_same_files_give() {
 #[test]
 fn clouds_of_ros_give_the_objects_that_the_same_files_give() {
     let [of_files, of_ros] = of_files_and_of_ros("points", "PointCloud2", CLOUD_HASH, cloud);
-    // Depths in single precision are counted in smaller units: places differ a little, and a decision that is a close one.
+    // Depths in single precision have a smaller unit. So places differ a little, and close decisions may differ.
     let (mut all, mut alike) = (0, 0);
     for (of_file, of_cloud) in of_files.iter().zip(&of_ros) {
         let [of_file, of_cloud] = [of_file, of_cloud].map(|line| line["objects"].as_array().unwrap());
@@ -253,8 +254,7 @@ fn clouds_of_ros_give_the_objects_that_the_same_files_give() {
     assert!(all > 24 && 10 * alike > 9 * all, "{alike} of {all}");
 }
 
-/// From Lyrical on a publisher of images sends below the key of the topic, to subscribers whose token says that they take them
-/// there.
+/// From ROS 2 Lyrical on a publisher of images uses a key below that of the topic for subscribers whose token announces that.
 #[test]
 fn images_below_the_key_of_the_topic_are_taken() {
     let (endpoint, _router, session) = behind_router();
@@ -268,7 +268,7 @@ fn images_below_the_key_of_the_topic_are_taken() {
     info.publish(info_of(&SMALL, stamped));
     for taken in 1..=3 {
         below.publish(wall(stamped));
-        // Two others have taken it at keys of their own, with numbers of their own.
+        // Two other subscribers received messages under keys of their own, which have numbers of their own.
         below.sequence += 2;
         run.wait_until("it is taken", || playground.lines("objects.jsonl").len() == taken);
     }
@@ -276,7 +276,8 @@ fn images_below_the_key_of_the_topic_are_taken() {
     assert!(!ended.stderr.contains("frames lost"), "{}", ended.stderr);
 }
 
-/// Where nodes speak DDS, `zenoh-bridge-ros2dds` carries their topics: by their names, with tokens of its own and no attachments.
+/// If the nodes use DDS, `zenoh-bridge-ros2dds` forwards their topics under their names, with its own tokens and without
+/// attachments.
 #[test]
 fn topics_are_exchanged_with_a_bridge_to_dds() {
     const FRAMES: usize = 10;
@@ -304,7 +305,7 @@ fn topics_are_exchanged_with_a_bridge_to_dds() {
     }
     run.wait().expect_code(0);
     assert!(objects(&playground.json_lines("objects.jsonl")) == objects(&files.json_lines("objects.jsonl")));
-    // The last ones may still be on their way through the router when the run has ended.
+    // The last messages may still pass through the router when the run has ended.
     let mut keys = Vec::new();
     wait_until("both messages of each frame are heard", || {
         keys.extend(subscriber.drain().map(|sample| sample.key_expr().to_string()));
@@ -315,7 +316,8 @@ fn topics_are_exchanged_with_a_bridge_to_dds() {
     }
 }
 
-/// A static transform that was sent before the run began, and one that moves, give the pose of each image; the sink sends it on.
+/// A static transform that was sent before the run began and a moving one give the pose of each image. The sink publishes the
+/// pose.
 #[test]
 fn the_pose_of_the_camera_is_read_from_transforms_and_published_as_one() {
     let (endpoint, _router, session) = behind_router();
@@ -326,14 +328,14 @@ fn the_pose_of_the_camera_is_read_from_transforms_and_published_as_one() {
     let subscriber =
         session.declare_subscriber(format!("0/tf/tf2_msgs::msg::dds_::TFMessage_/{TF_HASH}")).wait().unwrap();
     let text = by_ros(RECORDING, &endpoint).replace("[stage.extractor]", "world = \"map\"\n\n[stage.extractor]");
-    // The robot's own frame has a parent already.
+    // The robot's own frame already has a parent.
     let sink = "input = \"objects\"\nworld = \"map\"\nframe_id = \"seen_from\"";
     let playground = Playground::with_pipeline(&with_sink(&text, sink, &endpoint));
     let mut run = playground.start(&["run"]);
     wait_for_token(&session, "/MS/%/%/conicflow_source/%camera%depth%image_rect_raw/");
     wait_for_token(&session, "/MP/%/%/conicflow_ros/%tf/");
     let ([mut topic, mut info], mut moving) = (camera_topics(&session), tf("tf"));
-    // The base goes a metre in five milliseconds: where it is between two transforms, that of the image is.
+    // The base moves a metre in five milliseconds. Its place at the time of the image is interpolated between two transforms.
     const STEP_NS: u64 = 5_000_000;
     const BEGIN_NS: u64 = 1_700_000_000_000_000_000;
     let (mut step, mut last) = (0, None);
@@ -409,7 +411,7 @@ fn tracks_reach_ros_and_the_node_is_listed_there() {
     check_received(&received.lock().unwrap());
 }
 
-/// The sink is replaced while it runs, and more is heard.
+/// Replaces the sink during the run, and waits for further messages.
 fn swap_and_go_on(playground: &Playground, run: &mut Started, received: &Mutex<Vec<ReceivedMessage>>) {
     playground.conicflow(&["swap", "ros", "--set", "frame_id=optical"]).expect_code(0);
     let is_new = |message: &[u8]| message.windows(7).any(|bytes| bytes == b"optical");
@@ -420,7 +422,7 @@ fn swap_and_go_on(playground: &Playground, run: &mut Started, received: &Mutex<V
     assert!(ros["counters"]["messages sent"].as_u64().unwrap() > 20, "{ros}");
 }
 
-/// Each message has its key, and an attachment whose numbers rise by one.
+/// Asserts that each message has its key, and an attachment whose numbers rise by one.
 fn check_received(received: &[ReceivedMessage]) {
     let detections = format!("0/conicflow/tracks/vision_msgs::msg::dds_::Detection3DArray_/{DETECTIONS_HASH}");
     let markers = format!("0/conicflow/tracks/markers/visualization_msgs::msg::dds_::MarkerArray_/{MARKERS_HASH}");
@@ -463,7 +465,7 @@ fn malformed_messages_are_skipped_and_reported_once() {
     for message in damaged {
         topic.publish(message.clone());
         info.publish(message);
-        // A malformed attachment, and none.
+        // A malformed attachment, and no attachment.
         session.put(&topic.key, vec![1; 9]).attachment(vec![7; 20]).wait().unwrap();
         session.put(&info.key, vec![1; 9]).wait().unwrap();
     }
@@ -523,7 +525,7 @@ fn silence_is_reported_with_the_topics_that_exist() {
     run.end();
 }
 
-/// Images come at 50 Hz: none of them waits for the camera as long as that is waited for.
+/// Images arrive at 50 Hz, each before the wait for the camera of the one before is over.
 #[test]
 fn images_without_a_camera_info_are_reported_and_counted_and_nothing_is_sent() {
     let (endpoint, _router, session) = behind_router();
@@ -534,7 +536,7 @@ fn images_without_a_camera_info_are_reported_and_counted_and_nothing_is_sent() {
     let stamped = Stamped { stamp_ns: 1, frame_id: FRAME };
     let has_camera = AtomicBool::new(false);
     let counted = || playground.top_stage("source")["counters"]["frames without camera"].as_u64().unwrap_or(0);
-    // It goes on until the other end is dropped, also by a test that fails.
+    // The thread publishes until the other end of the channel is dropped, also by a test that fails.
     let (goes_on, over) = channel::<()>();
     thread::scope(|scope| {
         let _goes_on = goes_on;

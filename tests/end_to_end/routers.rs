@@ -1,16 +1,16 @@
-//! Machines that reach a Zenoh router, and not each other.
+//! Machines that reach a Zenoh router, but not each other.
 
 use super::bridge::{HALVES, live, loopback, newest, placed, start, top_link, tracks, wait_for_frames, wait_for_link};
 use super::support::{Playground, Started, TRACKING, signal, wait_until};
 use rustix::process::Signal;
 use zenoh::Wait;
 
-/// A Zenoh router of this process that listens on an endpoint, or on several with `", "` between them.
+/// A Zenoh router in this process that listens on one endpoint, or on several separated by `", "`.
 pub fn router(endpoint: &str) -> zenoh::Session {
     session("router", &[("listen/endpoints", &format!("[\"{endpoint}\"]"))])
 }
 
-/// A Zenoh session of this process that finds nobody, but for what is set.
+/// A Zenoh session in this process that connects only to peers in its settings.
 pub fn session(mode: &str, set: &[(&str, &str)]) -> zenoh::Session {
     let mut config = zenoh::Config::default();
     let mode = format!("\"{mode}\"");
@@ -21,7 +21,7 @@ pub fn session(mode: &str, set: &[(&str, &str)]) -> zenoh::Session {
     zenoh::open(config).wait().unwrap()
 }
 
-/// The stages of `text` on a robot and a base, each with these settings of Zenoh.
+/// The stages of `text` on a robot and a base, each with its Zenoh settings.
 pub fn by_router(text: &str, places: &[(&str, &str)], settings: [String; 2]) -> [Playground; 2] {
     let machines = "\n[machine.robot]\nzenoh = \"net.json5\"\n[machine.base]\nzenoh = \"net.json5\"\n";
     let text = placed(text, places) + machines;
@@ -32,7 +32,7 @@ pub fn by_router(text: &str, places: &[(&str, &str)], settings: [String; 2]) -> 
     })
 }
 
-/// The settings of who knows nobody but the router at these endpoints.
+/// The settings of a machine that connects only to the router at these endpoints.
 pub fn knows(mode: &str, endpoints: &[&str]) -> String {
     format!("{{ mode: '{mode}', connect: {{ endpoints: {endpoints:?} }} }}")
 }
@@ -101,7 +101,7 @@ fn short_messages_use_datagrams_through_a_router_too() {
         [("source", "robot"), ("extractor", "robot"), ("assembler", "robot"), ("tracker", "base"), ("json", "base")];
     let settings = [(); 2].map(|()| knows("client", &[&stream, &datagrams]));
     let machines = by_router(&live(TRACKING), &places, settings);
-    // At first the router does not take datagrams.
+    // The first router does not accept datagrams.
     let without = router(&stream);
     let mut runs = start_both(&machines);
     runs[1].wait_until("tracks arrive", || newest(&machines[1]) > 10);

@@ -1,4 +1,4 @@
-//! Runs from their start to their end: what comes out, in which order, and what the summary says of it.
+//! Runs from their start to their end: their output, its order, and the summary.
 
 use crate::programs::program;
 use crate::support::{
@@ -15,7 +15,7 @@ use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-/// A source and a sink that takes its time over each frame, without lossless delivery between them.
+/// A pipeline of a source and a slow sink with `latest`.
 fn slow_pipeline(delay_ms: u64) -> Playground {
     let program = program("slow_sink");
     Playground::with_pipeline(&format!(
@@ -93,7 +93,7 @@ fn quiet_runs_log_nothing() {
     assert_eq!(playground.sequences("tracks.jsonl"), [0, 1, 2]);
 }
 
-/// The lines of a run of [`TRACKING`] over 500 frames, without the times that the machine took.
+/// The lines of a run of [`TRACKING`] over 500 frames, without times of processing.
 fn lossless_run() -> Vec<Json> {
     let playground = Playground::with_pipeline(TRACKING);
     let ended = playground.conicflow(&["run", "--set", "source.frames=500"]).expect_code(0);
@@ -128,7 +128,7 @@ fn a_slow_reader_loses_frames_and_each_of_them_is_counted() {
     let input = ended.input("depth", "sink");
     assert_eq!(input.received, taken.len() as u64);
     assert!(input.dropped > 0, "nothing was lost, so that nothing is shown");
-    // what was sent before the reader was there is not lost; it may have had some of that waiting
+    // Messages that were sent before the reader had joined are not lost. It may nevertheless have received some of them.
     let (sent, counted) = (ended.stage("source").messages, input.received + input.dropped);
     assert!((sent - taken[0]..=sent).contains(&counted), "{counted} of {sent}, the first was {}", taken[0]);
     assert_eq!(input.late, 0);
@@ -142,7 +142,7 @@ fn a_source_that_surveys_a_hundred_thousand_files_does_not_count_as_hanging() {
     let text = RECORDING.replace("rate_hz = 0", "rate_hz = 0\nrestart = { when = \"on_failure\", hang_s = 1 }");
     let playground = Playground::in_memory().and_pipeline(&text);
     playground.record_with_camera(Scene::built_in("tabletop").unwrap().unwrap(), 5, 2);
-    // Not every file system lets one file have so many names.
+    // Some file systems limit the number of names of a file.
     let frame = |number: u32| playground.path(&format!("frames/{number}.png"));
     (2..100_000).for_each(|number| fs::hard_link(frame(number % 2), frame(number)).unwrap());
     let comes_through = |_| {
@@ -253,7 +253,7 @@ fn name(entry: std::io::Result<fs::DirEntry>) -> String {
     entry.unwrap().file_name().into_string().unwrap()
 }
 
-/// How warm the pixels of a picture of 64x48 are, but for those without a measurement and those that nothing was painted on.
+/// The shades of a picture of 64x48 pixels, without pixels that were not measured or not painted.
 fn shades(path: &Path) -> Vec<u8> {
     let (info, bytes) = read_png(path);
     assert_eq!((info.width, info.height, info.color_type), (64, 48, png::ColorType::Rgb));
@@ -268,12 +268,12 @@ const FOCAL: f64 = 150.0;
 const METRES_PER_UNIT: f64 = 0.0005;
 const RADIUS: f64 = 0.1;
 
-/// A ball of [`RADIUS`] before a wall, as the pixels of a camera that looks at its centre from `distance` metres.
+/// Depth image of a ball of [`RADIUS`] before a wall. Its centre lies on the optical axis at `distance` metres.
 fn ball(distance: f64) -> Vec<u16> {
     let pixel = |column: u32, row: u32| {
         let x = (f64::from(column) - f64::from(WIDTH - 1) / 2.0) / FOCAL;
         let y = (f64::from(row) - f64::from(HEIGHT - 1) / 2.0) / FOCAL;
-        // The nearer z at which |z (x, y, 1) - (0, 0, distance)| is the radius.
+        // The smaller z for which |z (x, y, 1) - (0, 0, distance)| is the radius.
         let squared = x * x + y * y + 1.0;
         let below_root = distance * distance - squared * (distance * distance - RADIUS * RADIUS);
         let z = if below_root < 0.0 { 1.5 } else { (distance - below_root.sqrt()) / squared };
@@ -282,7 +282,7 @@ fn ball(distance: f64) -> Vec<u16> {
     (0..HEIGHT).flat_map(|row| (0..WIDTH).map(move |column| pixel(column, row))).collect()
 }
 
-/// A recording of a ball that comes nearer, frame by frame, with its camera beside it.
+/// A recording of a ball that comes nearer with each frame, with its camera.
 fn recording(numbers: Range<u32>) -> Playground {
     let playground = Playground::with_pipeline(RECORDING);
     fs::create_dir(playground.path("frames")).unwrap();
@@ -301,7 +301,7 @@ fn distance(number: u32) -> f64 {
     1.0 - 0.02 * f64::from(number)
 }
 
-/// Makes sure that in each of the frames with these numbers, and in no other, the ball was found where it is.
+/// Asserts that the ball was found at its place in each of the frames with these numbers, and in no others.
 fn expect_balls(playground: &Playground, numbers: &[u32]) {
     let lines = playground.json_lines("objects.jsonl");
     let sources: Vec<_> = lines.iter().map(|line| line["source"].as_str().unwrap().to_owned()).collect();

@@ -1,5 +1,5 @@
-//! More than one edge between two machines: there and back, three machines, pipelines beside each other. What comes out is
-//! what one machine finds, bit for bit.
+//! More than one edge between two machines: in both directions, three machines, and several pipelines. The results are the same
+//! as on one machine to the bit.
 
 use super::bridge::{
     HALVES, LIVE_RATE_HZ, apart, joined, link, loopback, machines, newest, placed, start, tracks, wait_for_frames,
@@ -9,19 +9,19 @@ use super::support::{Playground, Started, TRACKING, signal, wait_until};
 use rustix::process::Signal;
 use serde_json::Value as Json;
 
-/// [`TRACKING`] with so many frames.
+/// [`TRACKING`] with this number of frames.
 fn finite(frames: u32) -> String {
     TRACKING.replace("rate_hz    = 0", &format!("rate_hz    = 0\nframes     = {frames}"))
 }
 
-/// What one machine writes into these files.
+/// The results of a run on one machine in these files.
 fn alone<const N: usize>(text: &str, files: [&str; N]) -> [Vec<Json>; N] {
     let playground = Playground::with_pipeline(text);
     playground.conicflow(&["run"]).expect_code(0);
     files.map(|file| without_times(&playground, file))
 }
 
-/// Runs the file on all machines, until all end by themselves.
+/// Runs the file on all machines until all runs have ended.
 fn run_on<const N: usize>(text: &str, names: [&str; N]) -> [Playground; N] {
     let machines = names.map(|_| Playground::with_pipeline(text));
     let runs: Vec<_> = machines.iter().zip(names).map(|(machine, name)| start(machine, name)).collect();
@@ -78,7 +78,7 @@ path  = "ellipses.jsonl"
 
 #[test]
 fn pipelines_beside_each_other_on_the_same_machines_do_not_meet() {
-    // Slow enough that both are under way on both machines at the same time.
+    // Slow enough that both pipelines run on both machines at the same time.
     let paced = |frames| finite(frames).replace("rate_hz    = 0", "rate_hz    = 20");
     let other = paced(30).replace("\"tracking\"", "\"other\"").replace("width", "seed = 7\nwidth");
     let texts = [paced(40), other.replace("tracks.jsonl", "other.jsonl")];
@@ -88,7 +88,7 @@ fn pipelines_beside_each_other_on_the_same_machines_do_not_meet() {
     let [robot, base] = [Playground::new(), Playground::new()];
     let mut runs = Vec::new();
     for (text, own) in texts.iter().zip(&endpoints) {
-        // Both sessions of the base join both of the robot: nothing but their keys tells the pipelines apart.
+        // Both sessions of the base connect to both of the robot, so that only the keys distinguish the pipelines.
         let ends = format!("\n[machine.robot]\nlisten = [\"{own}\"]\n[machine.base]\nconnect = {endpoints:?}\n");
         let file = format!("{}.toml", runs.len());
         for (machine, name) in [(&robot, "robot"), (&base, "base")] {
@@ -132,7 +132,7 @@ json      = { machine = "base", node = "json_sink", input = "ellipses", path = "
 fn the_pipeline_for_two_machines_runs_as_the_readme_says() {
     const TEXT: &str = include_str!("../../pipeline.two-machines.toml");
     let port = loopback().rsplit(':').next().unwrap().to_owned();
-    // Another test may have that port.
+    // Another test may use the port of the file.
     let [robot, base] = machines(&TEXT.replace("7447", &port));
     robot.conicflow(&["validate"]).expect_code(0);
     let smaller = ["--set", "source.width=160", "--set", "source.height=120"];
@@ -159,7 +159,7 @@ fn a_missing_machine_is_waited_for_during_the_outage_and_the_messages_it_misses_
     let ended = robot_run.wait().expect_code(1);
     let [sent, lost, _] = link(&ended, "base", "ellipses");
     let received = tracks(&base).len() as u64;
-    // What was on its way when the base was killed may count as either.
+    // Messages in transit at the kill may be counted as arrived or as lost.
     let arrived = sent - lost;
     assert!(sent == FRAMES && lost > 100 && arrived.abs_diff(received) < 64, "{received} came, {lost} of {sent} lost");
     let loss = format!("{lost} messages of the lossless topic `ellipses` did not reach all machines that read it");
@@ -168,7 +168,7 @@ fn a_missing_machine_is_waited_for_during_the_outage_and_the_messages_it_misses_
     ended.expect_texts(&[&loss, &incomplete]);
 }
 
-/// A lossless edge from `robot` to `base`, which `listens` or connects, and a source that goes on for ever.
+/// A lossless edge from `robot` to `base`, which `listens` or connects, with a source without an end.
 fn endless(base_listens: bool) -> String {
     let endpoint = loopback();
     let text = apart(&endpoint, &endpoint).replace("rate_hz    = 0", &format!("rate_hz = {LIVE_RATE_HZ}"));
@@ -220,7 +220,7 @@ fn of_two_runs_that_receive_as_one_machine_the_first_gets_all_and_all_machines_r
             "machine `robot` hears another run of machine `base`, too; what counts there is the run that ",
         );
     }
-    // One that stands still keeps nobody.
+    // A stopped run blocks no other.
     second.processes().into_iter().for_each(|process| signal(process, Signal::STOP));
     wait_for_frames(&mut first_run, &first, 80);
     let made = robot_run.end().stage("source").messages;
@@ -229,13 +229,13 @@ fn of_two_runs_that_receive_as_one_machine_the_first_gets_all_and_all_machines_r
     second.processes().into_iter().for_each(|process| signal(process, Signal::KILL));
 }
 
-/// Starts both machines anew, in either order, after both were ended in that order, or killed.
+/// Starts both machines again in either order, after both were ended in that order or killed.
 fn begin_both_anew(is_killed: bool, robot_first: bool) {
     let round = format!("killed: {is_killed}, robot first: {robot_first}");
     let [robot, base] = machines(&endless(false));
     let order = if robot_first { [(&robot, "robot"), (&base, "base")] } else { [(&base, "base"), (&robot, "robot")] };
     for _ in 0..2 {
-        // Its next run writes over it.
+        // The next run replaces this file.
         std::fs::remove_file(base.path("tracks.jsonl")).ok();
         let mut runs = order.map(|(machine, name)| start(machine, name));
         runs[0].wait_until("tracks arrive", || newest(&base) > 20);

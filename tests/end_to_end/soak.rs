@@ -1,4 +1,4 @@
-//! A long live run: memory, open files and shared memory stay what they were. An hour of it, with its latencies:
+//! A long live run: memory, open files and shared memory do not grow. For an hour of it, with its latencies:
 //! `CONICFLOW_SOAK_S=3600 cargo test --release --test end_to_end -- soak --nocapture`
 
 use crate::processes::{files_in_shared_memory, shared_files, shared_prefix, stages_of};
@@ -11,20 +11,20 @@ use std::time::{Duration, Instant};
 const SECONDS: &str = "CONICFLOW_SOAK_S";
 const DEFAULT_SECONDS: u64 = 12;
 const SAMPLES: u64 = 60;
-/// After so many frames each stage has come to use what it needs.
+/// After this number of frames each stage has allocated everything.
 const WARM_UP_FRAMES: u64 = 100;
-/// What a process may grow by: a few pages that it had not come to use before.
+/// Permitted growth of a process in kB: a few pages that it had not touched before.
 const SLACK_KB: u64 = 512;
-/// What a stage may have, once it has settled.
+/// Maximum resident memory of a stage in kB after the first frames.
 const MOST_RESIDENT_KB: u64 = 10 * 1024;
 const MOST_THREADS: usize = 3;
 
-/// What a stage uses at one moment.
+/// Resources that a stage uses at one moment.
 #[derive(Clone, Copy, Debug)]
 pub struct Usage {
-    /// Memory of its own that is resident, in kB; what it shares is counted once, below.
+    /// Private resident memory in kB.
     pub private_kb: u64,
-    /// All memory that is resident, in kB: with the program and the libraries, which all stages share.
+    /// All resident memory in kB, including the program and the libraries, which all stages share.
     resident_kb: u64,
     threads: usize,
     open_files: usize,
@@ -56,7 +56,7 @@ fn sample(run: &Started) -> Sample {
     Sample { stages: stages.into_iter().map(|(name, process)| (name, usage(process))).collect(), shared }
 }
 
-/// Medians of the latencies, in ms, of the first and the last tenth of the frames after the first tenth.
+/// Medians in milliseconds of the latencies of the first and the last tenth of the frames that follow the first tenth.
 fn latencies(playground: &Playground) -> (f64, f64) {
     let lines = playground.json_lines("tracks.jsonl");
     let all: Vec<f64> = lines.iter().map(|line| line["latency_ms"].as_f64().unwrap()).collect();
@@ -75,7 +75,7 @@ fn a_long_run_uses_no_more_memory_and_files_at_its_end_than_at_its_beginning() {
     let seconds = asked.unwrap_or(DEFAULT_SECONDS);
     let live = TRACKING.replace("lossless", "latest");
     let playground = Playground::with_pipeline(&live);
-    // A leak in each frame shows in small images as well, which take a third of the processor time.
+    // Small images show a leak of each frame, too, and take a third of the processor time.
     let (width, height) = if asked.is_some() { (640, 480) } else { (160, 120) };
     let (focal, cx, cy) = (width * 525 / 640, f64::from(width - 1) / 2.0, f64::from(height - 1) / 2.0);
     let camera = format!("source.intrinsics={{ fx = {focal}, fy = {focal}, cx = {cx:?}, cy = {cy:?} }}");
@@ -94,9 +94,9 @@ fn a_long_run_uses_no_more_memory_and_files_at_its_end_than_at_its_beginning() {
     }
     let ended = run.end();
     assert_eq!(files_in_shared_memory(&prefix), [""; 0], "left in shared memory");
-    // In a long run the first fifth is for warming up, too.
+    // In a long run the first fifth does not count.
     let (first, last) = (&samples[samples.len() / 5], samples.last().unwrap());
-    // Any single look may come when a stage has a file open for a moment.
+    // A stage may have a file open for a moment, so each measurement is the least of several.
     const LOOKS: usize = 6;
     let (early, late) = (&samples[samples.len() / 5..][..LOOKS], &samples[samples.len() - LOOKS..]);
     let open_files =
@@ -107,7 +107,7 @@ fn a_long_run_uses_no_more_memory_and_files_at_its_end_than_at_its_beginning() {
         assert!(after.private_kb <= before.private_kb + SLACK_KB, "{stage}: {before:?}, {after:?}");
         assert_eq!(open_files(late, stage), open_files(early, stage), "{stage}");
         assert!(after.threads <= MOST_THREADS, "{stage}: {after:?}");
-        // A program that was not optimised is longer.
+        // A program without optimisation is larger.
         assert!(cfg!(debug_assertions) || after.resident_kb <= MOST_RESIDENT_KB, "{stage}: {after:?}");
         assert_eq!(ended.stage(stage).starts, 1, "{}", ended.stderr);
     }

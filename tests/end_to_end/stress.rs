@@ -1,5 +1,5 @@
-//! Kills at random moments: after each kill the run goes on or is gone, and the machine is as it was. Some hundred of them:
-//! `CONICFLOW_STRESS_ROUNDS=300 cargo test --test end_to_end -- stress --nocapture`
+//! Kills at random moments: after each one the run continues or is gone, and nothing is left behind. `CONICFLOW_STRESS_ROUNDS=300
+//! cargo test --test end_to_end -- stress --nocapture` does some hundred.
 
 use crate::processes::{files_below, files_in_shared_memory, shared_prefix, stages_of, wait_for_lines};
 use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, signal, wait_until};
@@ -11,7 +11,7 @@ use std::time::Duration;
 const ROUNDS: &str = "CONICFLOW_STRESS_ROUNDS";
 const DEFAULT_ROUNDS: usize = 16;
 
-/// When the kill comes.
+/// The moment of a kill.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Moment {
     Start,
@@ -20,7 +20,7 @@ enum Moment {
     End,
 }
 
-/// Who is killed.
+/// The processes that are killed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Victims {
     Stage,
@@ -32,14 +32,13 @@ enum Victims {
 const MOMENTS: [Moment; 4] = [Moment::Start, Moment::AtWork, Moment::Swap, Moment::End];
 const VICTIMS: [Victims; 4] = [Victims::Stage, Victims::TwoStages, Victims::Launcher, Victims::All];
 
-/// What the runs of the playground have left: files of theirs in shared memory, and in the runtime folder those that are
-/// not only there to be locked.
+/// What the runs of the playground have left: their files in shared memory, and those in the runtime folder, except lock files.
 pub fn files(playground: &Playground, prefix: &str) -> BTreeSet<String> {
     let below = files_below(playground.runtime()).into_iter().map(|path| path.display().to_string());
     files_in_shared_memory(prefix).into_iter().chain(below.filter(|path| !path.ends_with("lock"))).collect()
 }
 
-/// What the names of all shared memory of runs in the playground begin with.
+/// Prefix of the names of all shared memory of the playground's runs.
 pub fn prefix(playground: &Playground) -> String {
     let mut run = playground.start(&["run", "--set", "source.rate_hz=100"]);
     wait_for_lines(&mut run, playground);
@@ -52,7 +51,7 @@ fn sleep_up_to(random: &mut fastrand::Rng, milliseconds: u64) {
     std::thread::sleep(Duration::from_millis(random.u64(0..=milliseconds)));
 }
 
-/// A run that has come to this moment, and a swap under way.
+/// Starts a run and waits for this moment. Returns the run, and the swap under way.
 fn come_to(moment: Moment, playground: &Playground, random: &mut fastrand::Rng) -> (Started, Option<Started>) {
     let mut run = playground.start(&["run", "--set", "source.rate_hz=100"]);
     if moment == Moment::Start {
@@ -86,7 +85,7 @@ fn kill(victims: Victims, run: &Started, random: &mut fastrand::Rng) {
     }
 }
 
-/// One kill; what was found wrong after it.
+/// Does one kill, and panics if anything is wrong after it.
 fn round(moment: Moment, victims: Victims, playground: &Playground, random: &mut fastrand::Rng) {
     fs::remove_file(playground.path("tracks.jsonl")).ok();
     let (mut run, swap) = come_to(moment, playground, random);
@@ -98,7 +97,7 @@ fn round(moment: Moment, victims: Victims, playground: &Playground, random: &mut
     }
     let ended = run.wait();
     if goes_on {
-        // Where a stage and the one after it die at once, what had left the one and was not finished by the other is lost.
+        // If a stage and the one after it die at once, messages between them are lost.
         let ended = if victims == Victims::Stage { ended.expect_code(0) } else { ended.expect_survived() };
         let sequences = playground.sequences("tracks.jsonl");
         assert!(sequences.is_sorted(), "frames went back: {}", ended.stderr);

@@ -1,5 +1,5 @@
-//! What the end-to-end tests stand on: a playground of its own for each test, runs that cannot outlive it, and waiting for
-//! conditions instead of for time.
+//! Support for the end-to-end tests: a playground for each test, runs that end with their test, and waits for conditions in place
+//! of fixed times.
 
 use conicflow_lab::simulator::scene::Scene;
 use conicflow_lab::simulator::{SimulatorParameters, SyntheticCamera};
@@ -17,14 +17,15 @@ use std::process::{Child, ChildStdout, Command, Stdio};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
-/// Whatever a test waits for comes long before this; it has failed when this is over.
+/// Maximum wait for a condition. Every condition that a test waits for holds long before this, so a test that waits longer has
+/// failed.
 pub const DEADLINE: Duration = Duration::from_secs(120);
 pub const CHECK_PERIOD: Duration = Duration::from_millis(20);
-/// A stage that may not be silent for long is started anew where a busy machine holds it up: one of so many runs has to come
-/// through without.
+/// Number of runs that a test tries if a busy machine may restart a stage that has to send heartbeats often. One of the runs has
+/// to end without a restart.
 pub const TRIES: usize = 5;
 
-/// Five stages that find and track a ball in small images, every frame of it, until it is told to stop.
+/// Five stages that find and track a ball in small images, without losing a frame, until the run is stopped.
 pub const TRACKING: &str = r#"
 name = "tracking"
 
@@ -57,7 +58,7 @@ input = { topic = "tracks", delivery = "lossless" }
 path  = "tracks.jsonl"
 "#;
 
-/// A stage that only writes, one that only reads, and one between them, with little to do at each frame.
+/// Three stages with little work for each frame: a source, a stage between, and a sink.
 pub const FINDING: &str = r#"
 name = "tracking"
 
@@ -80,20 +81,20 @@ input = { topic = "ellipses", delivery = "lossless" }
 path  = "tracks.jsonl"
 "#;
 
-/// The names of its stages.
+/// Names of the stages of [`FINDING`].
 pub const FINDING_STAGES: [&str; 3] = ["source", "extractor", "json"];
 
-/// The stages of [`TRACKING`] behind another source; they take each message (`lossless`), or the newest one (`latest`).
+/// The stages of [`TRACKING`] after another source. With `lossless` they process each message, with `latest` the newest one.
 pub fn tracking_behind(source: &str, delivery: &str) -> String {
     let (_, stages) = TRACKING.split_once("[stage.extractor]").unwrap();
     let stages = stages.replace("lossless", delivery);
     format!("name = \"tracking\"\n[stage.source]\noutput = \"depth\"\n{source}\n[stage.extractor]{stages}")
 }
 
-/// The names of its stages.
+/// Names of the stages of [`TRACKING`].
 pub const TRACKING_STAGES: [&str; 5] = ["source", "extractor", "assembler", "tracker", "json"];
 
-/// Its topics, each with its writer and its reader.
+/// Topics of [`TRACKING`], each with its writer and its reader.
 pub const TRACKING_TOPICS: [(&str, &str, &str); 4] = [
     ("depth", "source", "extractor"),
     ("ellipses", "extractor", "assembler"),
@@ -101,7 +102,7 @@ pub const TRACKING_TOPICS: [(&str, &str, &str); 4] = [
     ("tracks", "tracker", "json"),
 ];
 
-/// Three stages that find the objects in the recorded frames of the folder `frames`, until its end.
+/// Three stages that find the objects in the recorded frames of the folder `frames`, and end with the last frame.
 pub const RECORDING: &str = r#"
 name = "recording"
 
@@ -128,60 +129,61 @@ input = { topic = "objects", delivery = "lossless" }
 path  = "objects.jsonl"
 "#;
 
-/// A folder for a test's files and another, with a short path, for what runs need; nothing outside of them is met.
+/// A folder for the files of a test, and a folder with a short path for the runtime files of its runs. A test touches no other
+/// files.
 pub struct Playground {
     files: TempDir,
     runtime: TempDir,
 }
 
 impl Playground {
-    /// Its runs have their files in memory, as a user's own are, where that can be: a file system on a disk takes the longer to
-    /// make one of these many small files the more were deleted shortly before.
+    /// Creates a playground whose runtime files lie in memory where possible, as those of a user do. A file system on a disk
+    /// creates small files slowly if many were deleted shortly before.
     pub fn new() -> Self {
         Self::with_runs_in(["/dev/shm", "/tmp"].into_iter().find(|folder| Path::new(folder).is_dir()).unwrap())
     }
 
-    /// A playground whose files are in memory as well, where that can be: a disk takes long for very many of them.
+    /// Creates a playground whose files all lie in memory where possible: a disk is slow with very many files.
     pub fn in_memory() -> Self {
         let mut playground = Self::new();
         playground.files = TempDir::new_in(playground.runtime().parent().unwrap()).unwrap();
         playground
     }
 
-    /// A playground for runs that see another /dev/shm than the test does.
+    /// Creates a playground for runs whose /dev/shm is not that of the test.
     pub fn outside_shared_memory() -> Self {
         Self::with_runs_in("/tmp")
     }
 
-    /// Unix sockets lie in the folder of the runs, and have to have short paths.
+    /// Unix sockets lie in the runtime folder, so its path has to be short.
     fn with_runs_in(folder: &str) -> Self {
         let private = Permissions::from_mode(0o700);
         let runtime = tempfile::Builder::new().prefix("cf").permissions(private).tempdir_in(folder).unwrap();
         Self { files: TempDir::new().unwrap(), runtime }
     }
 
-    /// A playground with this text in `pipeline.toml`, where every command looks for it.
+    /// Creates a playground with this text in `pipeline.toml`, which each command reads by default.
     pub fn with_pipeline(text: &str) -> Self {
         Self::new().and_pipeline(text)
     }
 
-    /// This playground, with a text there.
+    /// Writes this text to `pipeline.toml` of the playground.
     pub fn and_pipeline(self, text: &str) -> Self {
         self.write("pipeline.toml", text);
         self
     }
 
-    /// A file or folder of the test.
+    /// Path of a file or folder of the test.
     pub fn path(&self, name: &str) -> PathBuf {
         self.files.path().join(name)
     }
 
-    /// The folder of the runs' own files.
+    /// The folder of the runtime files.
     pub fn runtime(&self) -> &Path {
         self.runtime.path()
     }
 
-    /// The processes, whoever their parent is, that belong to a run in this playground.
+    /// Ids of all processes of runs in this playground, also of processes whose parent has died.
     pub fn processes(&self) -> Vec<u32> {
         let runtime = self.runtime.path().to_str();
         let own = |process: &u32| environment(*process, "CONICFLOW_RUNTIME_DIR").as_deref() == runtime;
@@ -192,7 +194,7 @@ impl Playground {
         fs::write(self.path(name), text).unwrap();
     }
 
-    /// Writes frames of a scene down as a camera of 320x240 would, in millimetres: `frames/0.png` and so on.
+    /// Writes depth images of a scene, seen by a camera of 320x240 pixels, in millimetres: `frames/0.png` and so on.
     pub fn record(&self, scene: Scene, seed: u64, frames: u64) -> Camera {
         let config = SimulatorParameters { width: 320, height: 240, ..SimulatorParameters::default() };
         let camera = config.camera();
@@ -204,7 +206,7 @@ impl Playground {
         camera
     }
 
-    /// The same with what is known of the camera beside them, in `frames/camera.json`.
+    /// Like [`Self::record`], and also writes the camera to `frames/camera.json`.
     pub fn record_with_camera(&self, scene: Scene, seed: u64, frames: u64) -> Camera {
         let camera = self.record(scene, seed, frames);
         let Camera { width, height, fx, fy, cx, cy } = camera;
@@ -213,19 +215,19 @@ impl Playground {
         camera
     }
 
-    /// Writes a depth image as a camera would, a 16-bit PNG.
+    /// Writes a depth image as a PNG of 16 bits.
     pub fn write_depth_png(&self, name: &str, width: u32, pixels: &[u16]) {
         depth_png(BufWriter::new(File::create(self.path(name)).unwrap()), width, pixels);
     }
 
-    /// The complete lines of a file; none if there is no file yet.
+    /// The complete lines of a file; none if the file does not exist.
     pub fn lines(&self, name: &str) -> Vec<String> {
         let text = fs::read_to_string(self.path(name)).unwrap_or_default();
         let whole = text.rsplit_once('\n').map_or("", |(whole, _)| whole);
         whole.lines().map(str::to_owned).collect()
     }
 
-    /// How many these are, which takes less time than to copy each of them.
+    /// Number of complete lines of a file. This is faster than to copy the lines.
     pub fn count(&self, name: &str) -> usize {
         fs::read_to_string(self.path(name)).unwrap_or_default().matches('\n').count()
     }
@@ -240,7 +242,8 @@ impl Playground {
         self.sequences_from(name, 0)
     }
 
-    /// The same from a line on: who looks after each of many steps does not read what was before again.
+    /// The sequence numbers in a file of JSON objects from line `first` on, for tests that read the file again after each of many
+    /// steps.
     pub fn sequences_from(&self, name: &str, first: usize) -> Vec<u64> {
         let lines = self.lines(name);
         let numbers =
@@ -248,8 +251,8 @@ impl Playground {
         numbers.map(Option::unwrap).collect()
     }
 
-    /// The sequence number in the last complete line of such a file, 0 where there is none. It reads no more than the
-    /// file's end: tests ask again and again, and what they take from the processor the stages are short of.
+    /// The sequence number in the last complete line of a file of JSON objects; 0 without such a line. Reads only the end of the
+    /// file, because tests poll it, and that time is missing for the stages.
     pub fn newest(&self, name: &str) -> u64 {
         const LENGTH: u64 = 512 * 1024;
         let Ok(mut file) = File::open(self.path(name)) else { return 0 };
@@ -262,21 +265,21 @@ impl Playground {
         last.map_or(0, |line| serde_json::from_str::<Json>(line).unwrap()["sequence"].as_u64().unwrap())
     }
 
-    /// Makes sure that `tracks.jsonl` has each frame that the source of a run has made once, in order; how many these are.
+    /// Asserts that `tracks.jsonl` has each frame of the source of a run exactly once, in order. Returns the number of frames.
     pub fn expect_each_frame(&self, ended: &Ended) -> u64 {
         let (made, sequences) = (ended.stage("source").messages, self.sequences("tracks.jsonl"));
         assert!(sequences.iter().copied().eq(0..made), "not each of {made}: {sequences:?}: {}", ended.stderr);
         made
     }
 
-    /// What `top --once` shows of the only pipeline.
+    /// Output of `top --once` for the only pipeline.
     pub fn top(&self) -> Json {
         let ended = self.conicflow(&["top", "--once"]).expect_code(0);
         let state: Json = serde_json::from_str(&ended.stdout).unwrap();
         state["pipelines"][0].clone()
     }
 
-    /// What it shows of a stage.
+    /// Output of `top --once` for a stage.
     pub fn top_stage(&self, name: &str) -> Json {
         let top = self.top();
         let mut stages = top["stages"].as_array().into_iter().flatten();
@@ -288,7 +291,7 @@ impl Playground {
         self.command_of(Path::new(env!("CARGO_BIN_EXE_conicflow")), arguments)
     }
 
-    /// The same by another file of that program.
+    /// Another program with these arguments, in the folder of the test's files.
     pub fn command_of(&self, program: &Path, arguments: &[&str]) -> Command {
         let mut command = Command::new(program);
         let inherited = std::env::vars_os().map(|(name, _)| name);
@@ -296,7 +299,7 @@ impl Playground {
             command.env_remove(name);
         });
         command.args(arguments).current_dir(self.files.path()).env("CONICFLOW_RUNTIME_DIR", self.runtime.path());
-        // Machines that meet on this host share the key of its user, who has a place of their own here.
+        // The machines of a test share the key of their user, which is kept in this folder.
         command.env("XDG_STATE_HOME", env!("CARGO_TARGET_TMPDIR"));
         command.stdin(Stdio::null());
         command
@@ -314,8 +317,8 @@ impl Playground {
 }
 
 impl Drop for Playground {
-    /// Ends what a test that failed has left running, and removes what killed processes have left in shared memory, as long
-    /// as the folder that leads there is there.
+    /// Ends the processes that a failed test has left running, and removes the shared memory that killed processes have left, as
+    /// long as the runtime folder, which leads to it, exists.
     fn drop(&mut self) {
         let since = Instant::now();
         while !self.processes().is_empty() && since.elapsed() < DEADLINE {
@@ -323,7 +326,7 @@ impl Drop for Playground {
             std::thread::sleep(CHECK_PERIOD);
         }
         if self.runtime().join("shm").is_dir() {
-            // Not in the folder of the test's files, whose pipeline it would look at as well.
+            // In the folder of the test's files `doctor` would also check the pipeline file.
             self.command(&["doctor", "--clean"]).current_dir(self.runtime()).output().ok();
         }
     }
@@ -338,7 +341,7 @@ pub fn depth_png(output: impl Write, width: u32, pixels: &[u16]) {
     encoder.write_header().unwrap().write_image_data(&bytes).unwrap();
 }
 
-/// What a PNG is, and the bytes of its pixels.
+/// Returns the format of a PNG and the bytes of its pixels.
 pub fn read_png(path: &Path) -> (png::OutputInfo, Vec<u8>) {
     let mut reader = png::Decoder::new(BufReader::new(File::open(path).unwrap())).read_info().unwrap();
     let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
@@ -346,40 +349,41 @@ pub fn read_png(path: &Path) -> (png::OutputInfo, Vec<u8>) {
     (info, bytes)
 }
 
-/// Copies a program by another process: nobody can run what a process that another test just starts has open for writing.
+/// Copies a program by another process. If this process had the copy open for writing, a process that another test forks at that
+/// moment would inherit it, and the copy could not be executed.
 pub fn copy_program(from: &Path, to: &Path) {
     assert!(Command::new("cp").args([from, to]).status().unwrap().success());
 }
 
-/// All processes, where the system tells.
+/// Ids of all processes; none where there is no /proc.
 pub fn processes() -> impl Iterator<Item = u32> {
     let entries = fs::read_dir("/proc").into_iter().flatten().flatten();
     entries.filter_map(|entry| entry.file_name().to_str()?.parse().ok())
 }
 
-/// The parent of a process that lives.
+/// Parent of a running process.
 pub fn parent(process: u32) -> Option<u32> {
     let stat = fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
     let mut after_name = stat.rsplit_once(')')?.1.split_whitespace();
     let state = after_name.next()?;
-    // While a thread is left, the process holds its files and locks, whatever the first thread's state.
+    // As long as one of its threads is left, a process keeps its files and locks, also if its first thread has ended.
     let threads = || fs::read_dir(format!("/proc/{process}/task")).map_or(0, Iterator::count);
     after_name.next()?.parse().ok().filter(|_| state != "Z" || threads() > 1)
 }
 
-/// The value of a variable in the environment that a process was started with.
+/// Value of a variable in the environment with which a process was started.
 pub fn environment(process: u32, name: &str) -> Option<String> {
     let bytes = fs::read(format!("/proc/{process}/environ")).ok()?;
     let text = String::from_utf8_lossy(&bytes).into_owned();
     text.split('\0').find_map(|entry| entry.strip_prefix(name)?.strip_prefix('=')).map(str::to_owned)
 }
 
-/// Sends a signal to a process, which may just have ended.
+/// Sends a signal to a process, which may have ended.
 pub fn signal(process: u32, signal: Signal) {
     Pid::from_raw(process.cast_signed()).map(|process| kill_process(process, signal));
 }
 
-/// A command that runs another one, with its arguments, its folder and its environment, behind its own arguments.
+/// Appends another command with its arguments to the arguments of `outer`, and takes over its folder and its environment.
 pub fn within(mut outer: Command, inner: &Command) -> Command {
     outer.arg(inner.get_program()).args(inner.get_args()).stdin(Stdio::null());
     if let Some(folder) = inner.get_current_dir() {
@@ -394,14 +398,14 @@ pub fn within(mut outer: Command, inner: &Command) -> Command {
     outer
 }
 
-/// The same of a program that hears SIGHUP, which it does not where `nohup` runs the tests.
+/// A command that runs `inner` with the default action for SIGHUP, also if `nohup` runs the tests.
 pub fn hearing_hangups(inner: &Command) -> Command {
     let mut env = Command::new("env");
     env.arg("--default-signal=HUP");
     within(env, inner)
 }
 
-/// Both ends of a terminal: the one at which somebody sits, and the one that a program has.
+/// Opens a terminal. Returns the end of the user and the end of the program.
 pub fn terminal() -> (File, OwnedFd) {
     let outer = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
     grantpt(&outer).unwrap();
@@ -411,14 +415,15 @@ pub fn terminal() -> (File, OwnedFd) {
     (outer.into(), inner)
 }
 
-/// A program of `examples/`, built beside the program under test.
+/// Path of a program of `examples/`, which is built together with the program under test.
 pub fn example(name: &str) -> String {
     let path = Path::new(env!("CARGO_BIN_EXE_conicflow")).with_file_name("examples").join(name);
     assert!(path.is_file(), "there is no `{}`; `cargo test` and `cargo build --examples` make it", path.display());
     path.to_str().unwrap().to_owned()
 }
 
-/// The Python of the tests, if it can import these modules; what it lacks and what was not shown for that is said loudly else.
+/// The Python of the tests if it can import these modules. Otherwise prints that the test is skipped, and what the Python
+/// `lacks`.
 pub fn python_with(modules: &str, lacks: &str) -> Option<String> {
     let python = std::env::var("CONICFLOW_TEST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     let imported = Command::new(&python).args(["-c", &format!("import {modules}")]).stderr(Stdio::null()).status();
@@ -429,14 +434,14 @@ pub fn python_with(modules: &str, lacks: &str) -> Option<String> {
     None
 }
 
-/// A running program; killed, and its stages with it, when the test is over, however that ends.
+/// A running program. It is killed together with its stages when the test ends, also if the test fails.
 pub struct Started {
     child: Child,
-    /// Its standard output and standard error.
+    /// Files with its standard output and standard error.
     texts: TempDir,
 }
 
-/// What a program that has ended left behind.
+/// Result of a program that has ended.
 #[derive(Debug)]
 pub struct Ended {
     pub code: Option<i32>,
@@ -451,7 +456,7 @@ impl Started {
         Self { child: command.stdout(text("stdout")).stderr(text("stderr")).spawn().unwrap(), texts }
     }
 
-    /// A program whose standard output is read here, line by line.
+    /// Starts a program whose standard output the test reads line by line.
     pub fn piped(mut command: Command) -> (Self, BufReader<ChildStdout>) {
         let texts = TempDir::new().unwrap();
         let stderr = File::create(texts.path().join("stderr")).unwrap();
@@ -461,24 +466,24 @@ impl Started {
         (Self { child, texts }, output)
     }
 
-    /// A program that writes where its command says.
+    /// Starts a program whose standard output goes to the place that the command sets.
     pub fn watched(mut command: Command) -> Self {
         let texts = TempDir::new().unwrap();
         ["stdout", "stderr"].into_iter().for_each(|name| drop(File::create(texts.path().join(name)).unwrap()));
         Self { child: command.spawn().unwrap(), texts }
     }
 
-    /// Its process.
+    /// Id of its process.
     pub fn id(&self) -> u32 {
         self.child.id()
     }
 
-    /// Whether it has not ended.
+    /// Whether it runs.
     pub fn is_running(&mut self) -> bool {
         self.child.try_wait().unwrap().is_none()
     }
 
-    /// What it has written to standard error so far.
+    /// Its standard error so far.
     pub fn stderr(&self) -> String {
         self.text("stderr")
     }
@@ -487,7 +492,7 @@ impl Started {
         fs::read_to_string(self.texts.path().join(name)).unwrap()
     }
 
-    /// Waits until a condition holds while it runs.
+    /// Waits until a condition holds. Panics if the program ends before.
     pub fn wait_until(&mut self, what: &str, mut holds: impl FnMut() -> bool) {
         let since = Instant::now();
         while !holds() {
@@ -497,13 +502,13 @@ impl Started {
         }
     }
 
-    /// Waits until it has written this to standard error.
+    /// Waits until its standard error contains this text.
     pub fn wait_for_text(&mut self, text: &str) {
         let path = self.texts.path().join("stderr");
         self.wait_until(text, || fs::read_to_string(&path).unwrap().contains(text));
     }
 
-    /// Asks for the end, as Ctrl-C does, and makes sure that it ends well.
+    /// Interrupts it, as Ctrl-C does, and asserts that it ends with exit code 0.
     pub fn end(self) -> Ended {
         signal(self.id(), Signal::INT);
         self.wait().expect_code(0)
@@ -524,8 +529,8 @@ impl Started {
 
 impl Drop for Started {
     fn drop(&mut self) {
-        // A run that is still going on gets the time to clean up after itself. On a busy machine that takes seconds for those
-        // that let others go first, such as `conicflow view`, and for a browser.
+        // A run needs time to clean up. On a busy machine it takes seconds, also for a browser and for programs that wait for
+        // others before they end, such as `conicflow view`.
         let since = Instant::now();
         let is_running = |child: &mut Child| matches!(child.try_wait(), Ok(None));
         if is_running(&mut self.child) {
@@ -550,14 +555,14 @@ pub fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
     }
 }
 
-/// What the summary says of a stage.
+/// Row of a stage in the summary.
 #[derive(Debug, PartialEq, Eq)]
 pub struct StageRow {
     pub messages: u64,
     pub starts: u64,
 }
 
-/// What the summary says of an input.
+/// Row of an input in the summary.
 #[derive(Debug, PartialEq, Eq)]
 pub struct InputRow {
     pub received: u64,
@@ -567,32 +572,32 @@ pub struct InputRow {
 }
 
 impl Ended {
-    /// Makes sure that it ended with this exit code.
+    /// Asserts that it ended with this exit code.
     pub fn expect_code(self, code: i32) -> Self {
         assert_eq!(self.code, Some(code), "stdout: {}\nstderr: {}", self.stdout, self.stderr);
         self
     }
 
-    /// Makes sure that it ended well, or said what a lossless reader has lost, with exit code 1.
+    /// Asserts that it ended with exit code 0, or with exit code 1 and a report of the messages that a lossless reader has lost.
     pub fn expect_survived(self) -> Self {
         let has_losses = self.stderr.contains(" messages of the lossless topic `");
         self.expect_code(i32::from(has_losses))
     }
 
-    /// Makes sure that it has written each of these to standard error.
+    /// Asserts that its standard error contains each of these texts.
     pub fn expect_texts(&self, texts: &[&str]) {
         for text in texts {
             assert!(self.stderr.contains(text), "no `{text}` in: {}", self.stderr);
         }
     }
 
-    /// The words of the summary's table that begins with `title`.
+    /// The words of the rows of the summary's table that begins with `title`.
     fn table(&self, title: &str) -> impl Iterator<Item = Vec<&str>> {
         let rows = self.stderr.lines().skip_while(move |line| line.split_whitespace().next() != Some(title));
         rows.skip(1).take_while(|line| !line.is_empty()).map(|line| line.split_whitespace().collect())
     }
 
-    /// The names of the stages in the summary.
+    /// Names of the stages in the summary.
     pub fn stages(&self) -> Vec<&str> {
         self.table("stage").map(|words| words[0]).collect()
     }
@@ -610,7 +615,7 @@ impl Ended {
         InputRow { received: number(2), dropped: number(3), gaps: number(4), late: number(5) }
     }
 
-    /// Makes sure that a stage has got so many messages of a topic, and missed none.
+    /// Asserts that a reader of a topic has received this number of messages, and missed none.
     pub fn expect_all(&self, topic: &str, reader: &str, received: u64) {
         let all = InputRow { received, dropped: 0, gaps: 0, late: 0 };
         assert_eq!(self.input(topic, reader), all, "{topic}, {reader}: {}", self.stderr);

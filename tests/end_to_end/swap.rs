@@ -1,4 +1,4 @@
-//! A stage of a running pipeline is replaced: nothing is lost, nobody else notices, and nothing stays behind.
+//! Replaces a stage of a running pipeline: nothing is lost, no other stage is affected, and nothing is left behind.
 
 use crate::processes::{at_work, shared_files, stages_of, wait_for_lines};
 use crate::soak::usage;
@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::PathBuf;
 
-/// Replaces a stage, and makes sure that its process is another one and that all others are the same.
+/// Replaces a stage, and asserts that its process is another one and that all other processes are the same.
 pub fn replace(playground: &Playground, run: &Started, arguments: &[&str]) {
     let before = stages_of(run.id());
     playground.conicflow(&[&["swap"], arguments].concat()).expect_code(0);
@@ -19,7 +19,7 @@ pub fn replace(playground: &Playground, run: &Started, arguments: &[&str]) {
     assert_eq!(after, before, "only `{}` was to be replaced", arguments[0]);
 }
 
-/// The same, and more is delivered.
+/// Replaces a stage, and waits until the run delivers more.
 fn swap(playground: &Playground, run: &mut Started, arguments: &[&str]) {
     replace(playground, run, arguments);
     wait_for_lines(run, playground);
@@ -39,18 +39,19 @@ fn a_lossless_pipeline_loses_nothing_when_each_of_its_stages_is_replaced() {
     }
 }
 
-/// The most frames between two of these, which are in order.
+/// The largest number of frames between two successive ones.
 pub fn longest_gap(frames: &[u64]) -> u64 {
     assert!(frames.is_sorted(), "frames went back: {frames:?}");
     frames.windows(2).map(|pair| pair[1] - pair[0] - 1).max().unwrap()
 }
 
-/// Frames that a live pipeline may miss at a swap.
+/// Number of frames that a live pipeline may lose at a swap.
 const LIVE_GAP: u64 = 3;
-/// Swaps of which one has to be as quick as that: on a machine that is busy with other things most may take their time.
+/// Number of swaps of which one has to be this quick: on a busy machine most may take longer.
 const TRIES: usize = 9;
 
-/// Replaces a stage until a live pipeline, of which `swap` tells how many frames it missed, misses no more than it may.
+/// Replaces a stage until a live pipeline loses no more frames than it may. `swap` does a swap and returns the number of lost
+/// frames.
 pub fn expect_a_quick_swap(stage: &str, mut swap: impl FnMut() -> u64) {
     let mut missed = Vec::new();
     while missed.len() < TRIES {
@@ -155,10 +156,10 @@ fn used(stages: &BTreeMap<String, u32>) -> BTreeSet<PathBuf> {
     stages.values().flat_map(|process| shared_files(*process)).collect()
 }
 
-/// What a neighbour's memory may grow by: a few pages that it had not come to use before.
+/// Permitted growth of a neighbour's memory in kB: a few pages that it had not touched before.
 const SLACK_KB: u64 = 512;
 
-/// The middle one counts of what is missing at each swap.
+/// The number of lost frames is the median over all swaps.
 #[test]
 fn a_hundred_swaps_of_a_live_run_cost_no_memory_and_three_frames_each_at_most() {
     let (playground, mut run) = at_work(&TRACKING.replace("lossless", "latest"), 30);

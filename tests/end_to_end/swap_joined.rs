@@ -1,15 +1,15 @@
-//! Stages that are joined to more than one neighbour are replaced: with several inputs of the same frame, on topics with
-//! several writers, and on both sides of a bridge between machines.
+//! Replaces stages with more than one neighbour: with several inputs of the same frame, on topics with several writers, and on
+//! both sides of a bridge.
 
 use super::bridge::{apart, loopback, machines, newest, start, wait_for_frames};
 use super::programs::program;
 use super::support::{Playground, Started, TRACKING, TRACKING_STAGES};
 use super::swap::{expect_a_quick_swap, longest_gap, replace};
 
-/// So many images may wait for what is made of them: more than there are frames on the way.
+/// Queue length of the image input: more images than there are frames under way.
 const SIDE_QUEUE: usize = 20;
 
-/// [`TRACKING`] with a sink that wants the objects, the image and the ellipses of each frame.
+/// [`TRACKING`] with a sink that reads the objects, the image and the ellipses of each frame.
 fn paired(delivery: &str) -> String {
     let topic = |name: &str| format!("{{ topic = \"{name}\", delivery = \"{delivery}\", queue = {SIDE_QUEUE} }}");
     let (depth, ellipses) = (topic("depth"), topic("ellipses"));
@@ -20,7 +20,7 @@ fn paired(delivery: &str) -> String {
     format!("{}\n{sink}", TRACKING.replace("lossless", delivery))
 }
 
-/// What the sink wrote: a frame's number, and those of the image and the ellipses that came with it.
+/// The lines of the sink: a frame's number, and those of its image and ellipses.
 fn pairs(playground: &Playground) -> Vec<[Option<u64>; 3]> {
     let row = |line: &String| {
         let numbers: Vec<_> = line.split(' ').map(|word| word.parse().ok()).collect();
@@ -37,7 +37,8 @@ fn wait_for_pairs(run: &mut Started, playground: &Playground) {
 #[test]
 fn inputs_of_the_same_frame_stay_together_and_none_is_lost() {
     let playground = Playground::with_pipeline(&paired("lossless"));
-    // The sink is the slowest, so that all queues before it are full, and images are well ahead of what is made of them.
+    // The sink is the slowest stage, so that all queues before it are full, and images arrive well before the objects found in
+    // them.
     let mut run = playground.start(&["run", "--set", "pairs.delay_ms=10"]);
     wait_for_pairs(&mut run, &playground);
     for stage in ["pairs", "extractor", "pairs", "source", "pairs", "assembler", "pairs"] {
@@ -69,8 +70,8 @@ fn live_inputs_of_the_same_frame_are_together_again_after_three_frames() {
     run.end();
 }
 
-/// Two cameras that write the same topic. Two extractors that wrote the same would each find the same frame, and the sink take it
-/// once: here one writes elsewhere.
+/// Two cameras that write the same topic. Only one of the extractors writes `ellipses`: two would each send the same frame, and
+/// the sink would take it once.
 const TWO_CAMERAS: &str = r#"
 name = "cameras"
 
@@ -82,10 +83,10 @@ again     = { node = "row_ellipse_extractor", input = { topic = "depth", deliver
 json      = { node = "json_sink", input = { topic = "ellipses", delivery = "lossless" }, path = "ellipses.jsonl" }
 "#;
 
-/// The stages and the scenes that they show.
+/// The camera stages and their scenes.
 const CAMERAS: [(&str, &str); 2] = [("left", "bouncing_ball"), ("right", "tabletop")];
 
-/// The numbers of the frames of a scene, in the order of their lines.
+/// The frame numbers of a scene, in the order of their lines.
 fn frames_of(playground: &Playground, source: &str) -> Vec<u64> {
     let lines = playground.json_lines("ellipses.jsonl");
     lines.iter().filter(|line| line["source"] == source).map(|line| line["sequence"].as_u64().unwrap()).collect()
@@ -96,7 +97,7 @@ fn readers_and_writers_of_a_topic_with_several_writers_are_replaced_without_loss
     let playground = Playground::with_pipeline(TWO_CAMERAS);
     let mut run = playground.start(&["run"]);
     let wait = |run: &mut Started| {
-        // To read all numbers at each look would take from the stages what they are to work with.
+        // Counts lines, because reading all numbers each time would take processor time from the stages.
         let count = || {
             let lines = playground.lines("ellipses.jsonl");
             CAMERAS.map(|(_, scene)| lines.iter().filter(|line| line.contains(scene)).count())
@@ -124,7 +125,7 @@ fn readers_and_writers_of_a_topic_with_several_writers_are_replaced_without_loss
     }
 }
 
-/// The stages of [`TRACKING`] on the machine (0 robot, 1 base) where [`apart`] puts them.
+/// The machine (0 robot, 1 base) of each stage of [`TRACKING`] in [`apart`].
 const PLACES: [(&str, usize); 5] = [("source", 0), ("extractor", 0), ("assembler", 1), ("tracker", 1), ("json", 1)];
 
 fn start_both([robot, base]: &[Playground; 2]) -> [Started; 2] {

@@ -1,5 +1,5 @@
-//! Three hosts as network namespaces: two that cannot reach each other, and one between them that both reach. Needs root and
-//! `ip netns`; where they are missing each test says so and shows nothing.
+//! Three hosts as network namespaces: two that cannot reach each other, and one between them that reaches both. The tests need
+//! root and `ip netns`; without these they print that they are skipped.
 
 use super::bridge::{HALVES, placed, tracks};
 use super::hosts::{Host, ip};
@@ -8,7 +8,7 @@ use super::routers::{by_router, knows};
 use super::support::{Playground, Started, TRACKING, wait_until};
 use std::time::Duration;
 
-/// The addresses of the host between the others, towards each.
+/// The addresses of the host in the middle, towards each of the others.
 const HUB: [&str; 2] = ["10.78.1.3", "10.78.2.3"];
 const ENDS: [&str; 2] = ["10.78.1.1", "10.78.2.2"];
 const OUTAGE: Duration = Duration::from_secs(3);
@@ -53,7 +53,7 @@ fn run(host: &Host, playground: &Playground, machine: &str) -> Started {
 #[test]
 fn three_hosts_share_a_pipeline_and_lose_nothing_when_a_cable_is_pulled() {
     let Some(star) = Star::new() else { return };
-    // Images go to the desk, ellipses on to the base; objects come back to the desk, tracks to the robot.
+    // Images go to the desk, and ellipses on to the base. Objects come back to the desk, and tracks to the robot.
     let places =
         [("source", "robot"), ("extractor", "desk"), ("assembler", "base"), ("tracker", "desk"), ("json", "robot")];
     let [to_robot, to_base] = HUB.map(|address| format!("tcp/{address}:7447"));
@@ -81,7 +81,7 @@ fn two_sites_that_reach_nothing_but_a_router_lose_nothing() {
     let router = router(&endpoints);
     let settings = endpoints.map(|endpoint| knows("client", &[&endpoint]));
     let machines = by_router(&finite(), &HALVES, settings);
-    // The router comes last, and comes a second time.
+    // The router starts last, and restarts later.
     let mut runs = [run(&star.ends[0], &machines[0], "robot"), run(&star.ends[1], &machines[1], "base")];
     let first = star.hub.start(&router);
     runs[1].wait_until("tracks arrive", || machines[1].count("tracks.jsonl") > 20);

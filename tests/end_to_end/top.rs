@@ -11,11 +11,11 @@ use std::time::Duration;
 
 const COLUMNS: usize = 80;
 const LINES: usize = 24;
-/// What `top` clears the screen with.
+/// The sequence with which `top` clears the screen.
 const CLEAR: &str = "\x1b[H\x1b[2J";
 const DEADLINE: Duration = Duration::from_secs(60);
 
-/// The end of a terminal that a program writes to, and what comes out of it, screen by screen.
+/// The program's end of a terminal, and its output, screen by screen.
 fn screens() -> (OwnedFd, Receiver<String>) {
     let (mut outer, inner) = terminal();
     let size = Winsize { ws_row: LINES as u16, ws_col: COLUMNS as u16, ws_xpixel: 0, ws_ypixel: 0 };
@@ -54,7 +54,7 @@ fn top_fits_its_terminal_and_is_redrawn() {
         }
     }
     assert_ne!(seen[0], seen[1], "it counts on");
-    // What a shell starts in the background ignores SIGINT, and so does all that it starts.
+    // A program that a shell starts in the background ignores SIGINT, and so do its children.
     signal(top.id(), Signal::TERM);
     top.wait().unwrap();
     run.end();

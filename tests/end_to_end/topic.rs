@@ -1,4 +1,4 @@
-//! `conicflow topic`: who looks on sees all there is, and those that work do not notice, whatever becomes of who looks on.
+//! `conicflow topic`: an onlooker sees all messages, and does not affect the stages, whatever happens to it.
 
 use crate::processes::{at_work, stages_of, wait_for_lines};
 use crate::support::{Ended, Playground, Started, TRACKING, TRACKING_STAGES, TRACKING_TOPICS, signal};
@@ -8,7 +8,7 @@ use std::fs::{self, DirEntry};
 use std::io::{BufRead, BufReader};
 use std::process::ChildStdout;
 
-/// `topic echo`, when its first line has come.
+/// Starts `topic echo`, and waits for its first line.
 fn echo(playground: &Playground, topic: &str) -> (Started, BufReader<ChildStdout>) {
     let (echo, mut output) = Started::piped(playground.command(&["topic", "echo", topic]));
     let mut line = String::new();
@@ -17,7 +17,7 @@ fn echo(playground: &Playground, topic: &str) -> (Started, BufReader<ChildStdout
     (echo, output)
 }
 
-/// Ends a run and makes sure that each stage worked on every frame that was made.
+/// Ends a run, and asserts that each stage processed every frame.
 fn end_without_loss(mut run: Started, playground: &Playground) -> Ended {
     run.wait_until("so many frames came that they show something", || playground.newest("tracks.jsonl") > 50);
     let ended = run.end();
@@ -29,9 +29,9 @@ fn end_without_loss(mut run: Started, playground: &Playground) -> Ended {
     ended
 }
 
-/// The time that processes have had on a processor, in ns.
+/// Processor time of processes, in nanoseconds.
 fn processor_ns(processes: impl IntoIterator<Item = u32>) -> u64 {
-    // A thread may have ended meanwhile.
+    // A thread may have ended in the meantime.
     let of_thread = |thread: std::io::Result<DirEntry>| {
         let text = fs::read_to_string(thread.ok()?.path().join("schedstat")).ok()?;
         text.split_whitespace().next()?.parse::<u64>().ok()
@@ -39,9 +39,9 @@ fn processor_ns(processes: impl IntoIterator<Item = u32>) -> u64 {
     processes.into_iter().flat_map(|id| fs::read_dir(format!("/proc/{id}/task")).unwrap()).filter_map(of_thread).sum()
 }
 
-/// In one run, without and with somebody who looks on, in an order in which what grows all the time favours neither: what its
-/// stages take of the processors for a frame. What a machine does besides disturbs most turns when it does much, but makes no
-/// quarter of them better: if looking on cost something, it would in the best quarter, too.
+/// Measures the processor time per frame of the stages of one run, alternately without and with an onlooker, in an order that
+/// balances a steady trend. Other load on the machine makes most turns slower, but makes no quarter of the turns faster, so the
+/// best quarters are compared.
 #[test]
 fn observing_a_run_at_full_speed_costs_it_no_processor_time() {
     const PAIRS: usize = 8;
@@ -151,7 +151,7 @@ fn the_ninth_observer_is_refused() {
 #[test]
 fn rates_and_bytes_are_those_that_were_sent() {
     let (playground, mut run) = at_work(TRACKING, 50);
-    // Figures are those of one second, in which a busy host may have sent nothing, or all that it was behind with.
+    // A rate is that of one second, in which a busy host may have sent nothing, or everything that had waited.
     run.wait_until("seconds in which it keeps its rate", || {
         let hz = playground.conicflow(&["topic", "hz", "depth", "--count", "2"]).expect_code(0);
         assert_eq!(hz.stdout.lines().count(), 2);

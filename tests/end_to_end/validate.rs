@@ -1,5 +1,5 @@
-//! Faulty pipeline files: each in `tests/faulty_pipelines` lies beside the exact text that it is refused with, and nothing
-//! starts from it. `UPDATE_EXPECT=1` writes the texts anew, to be read before they are kept.
+//! Faulty pipeline files: each file in `tests/faulty_pipelines` has its exact error text beside it, and starts nothing.
+//! `UPDATE_EXPECT=1` writes the texts again; read them before you commit them.
 
 use crate::support::{Ended, Playground, RECORDING, Started};
 use std::collections::BTreeSet;
@@ -27,20 +27,20 @@ fn faulty_files() -> Vec<PathBuf> {
     files
 }
 
-/// All that lies there but the expected texts.
+/// All files there except the expected texts.
 fn names_in_folder() -> BTreeSet<PathBuf> {
     let paths = fs::read_dir(folder()).unwrap().map(|entry| entry.unwrap().path());
     paths.filter(|path| path.extension().is_none_or(|end| end != "txt")).collect()
 }
 
-/// What `command` says of a file in the folder of faulty files.
+/// The result of `command` for a file in the folder of faulty files.
 fn refused(playground: &Playground, command: &str, file: &Path) -> Ended {
     let mut command = playground.command(&[command, file.file_name().unwrap().to_str().unwrap()]);
     command.current_dir(folder());
     Started::new(command).wait()
 }
 
-/// The place of a diagnostic in a text: the line of each `error: NAME:LINE:COLUMN: ..`.
+/// The line numbers of the diagnostics `error: NAME:LINE:COLUMN: ..` in a text.
 fn lines_of_errors(text: &str) -> Vec<usize> {
     let errors = text.lines().filter(|line| line.starts_with("error: "));
     errors.map(|line| line.split(':').nth(2).unwrap().parse().unwrap()).collect()
@@ -172,7 +172,7 @@ fn more_stages_than_a_run_can_start_are_refused() {
     Playground::with_pipeline(&with(500)).conicflow(&["validate"]).expect_code(0);
 }
 
-/// Recordings are often called by their date.
+/// File names of recordings often are dates.
 #[test]
 fn the_hint_for_text_that_looks_like_a_number_or_a_date_says_how_to_write_it() {
     let playground = Playground::with_pipeline(RECORDING);

@@ -1,5 +1,6 @@
-//! The page of `conicflow view`, asked over plain sockets: what it shows of runs and recordings, who is refused, and that many
-//! who look, or leave in the middle, cost a run nothing. What a browser makes of it is in `browser.rs`.
+//! The page of `conicflow view`, requested over plain sockets: what it shows of runs and recordings, which requests it refuses,
+//! and that many clients, also clients that leave in the middle of an answer, do not affect a run. `browser.rs` tests it in
+//! browsers.
 
 use crate::support::{CHECK_PERIOD, DEADLINE, Playground, Started, TRACKING, wait_until};
 use serde_json::{Value as Json, json};
@@ -9,26 +10,26 @@ use std::process::ChildStdout;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-/// A run that goes on until it is ended, at a pace that leaves room for others.
+/// A run without an end, at a rate that leaves time for others.
 pub const SLOWLY: [&str; 3] = ["run", "--set", "source.rate_hz=30"];
-/// No answer takes so long.
+/// Maximum time of an answer.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(90);
 
-/// A page that is offered, and where.
+/// A running server of the page.
 pub struct Page {
     /// `127.0.0.1:PORT`.
     pub host: String,
     program: Option<(Started, BufReader<ChildStdout>)>,
 }
 
-/// What was answered.
+/// An answer of the server.
 pub struct Answer {
     pub status: u16,
     pub head: String,
     pub body: Vec<u8>,
 }
 
-/// Sends a request as it is to `host`, and reads the answer.
+/// Sends a request to `host` as it is, and reads the answer.
 pub fn exchange(host: &str, request: &str) -> Answer {
     let mut stream = TcpStream::connect(host).unwrap();
     stream.set_read_timeout(Some(ANSWER_TIMEOUT)).unwrap();
@@ -56,7 +57,7 @@ impl Answer {
         String::from_utf8_lossy(&self.body).into_owned()
     }
 
-    /// The JSON text of an answer to `/look`, and its pixels.
+    /// The JSON text and the pixels of an answer to `/look`.
     fn update(&self) -> (Json, Vec<u16>) {
         assert_eq!(self.status, 200, "{}", self.text());
         let (length, rest) = self.body.split_at(4);
@@ -68,7 +69,7 @@ impl Answer {
 }
 
 impl Page {
-    /// Starts `conicflow view` with these arguments at a port of its own, and waits until it says where it is.
+    /// Starts `conicflow view` with these arguments at a free port, and waits for its address.
     pub fn open(playground: &Playground, arguments: &[&str]) -> Self {
         let arguments = [&["view", "--listen", "127.0.0.1:0"], arguments].concat();
         let (program, mut output) = Started::piped(playground.command(&arguments));
@@ -79,7 +80,7 @@ impl Page {
         Self { host, program: Some((program, output)) }
     }
 
-    /// The page that a stage offers, as its log says.
+    /// The page that a stage offers, according to its log.
     pub fn of_stage(log: &str) -> Self {
         let (_, address) = log.split_once("http://").unwrap();
         Self { host: address.split('/').next().unwrap().to_owned(), program: None }
@@ -94,17 +95,17 @@ impl Page {
         exchange(&self.host, request)
     }
 
-    /// Asks for a path, as a browser on this machine does.
+    /// Requests a path, as a browser on this machine does.
     pub fn get(&self, path: &str) -> Answer {
         self.send(&format!("GET {path} HTTP/1.1\r\nHost: {}\r\n\r\n", self.host))
     }
 
-    /// Asks as the browser `name` for what is newer than `frames` frames.
+    /// Requests, as the browser `name`, what is newer than `frames` frames.
     fn ask_for_update(&self, name: &str, frames: u64) -> (Json, Vec<u16>) {
         self.get(&format!("/look?browser={name}&frames={frames}&columns=32")).update()
     }
 
-    /// The next frame for which this holds.
+    /// The next frame for which `holds` is true.
     pub fn frame(&self, what: &str, mut holds: impl FnMut(&Json) -> bool) -> (Json, Vec<u16>) {
         let mut frames = 0;
         self.wait(what, || {
@@ -115,7 +116,7 @@ impl Page {
         })
     }
 
-    /// The state of the page once this holds, with the frame that is shown then, if there is one. It need not be a new one.
+    /// The state of the page as soon as `holds` is true for it, with the frame that it shows, which may be an old one.
     pub fn wait_for_state(&self, what: &str, mut holds: impl FnMut(&Json) -> bool) -> (Json, Vec<u16>) {
         self.wait(what, || {
             let (json, pixels) = self.ask_for_update("test", u64::MAX);
@@ -123,7 +124,7 @@ impl Page {
         })
     }
 
-    /// Asks until the answer is as wanted; panics with the last answer if it never is.
+    /// Requests until the answer is as expected. Panics with the last answer if it never is.
     fn wait(&self, what: &str, mut ask: impl FnMut() -> (bool, Json, Vec<u16>)) -> (Json, Vec<u16>) {
         let since = Instant::now();
         loop {
@@ -136,7 +137,7 @@ impl Page {
         }
     }
 
-    /// Sends a command and returns the status of the answer.
+    /// Sends a command, and returns the status of the answer.
     pub fn send_command(&self, command: &Json) -> u16 {
         let (host, body) = (&self.host, command.to_string());
         let head = format!(
@@ -167,7 +168,7 @@ fn a_live_run_is_shown_and_waited_for_before_and_after() {
     assert!(track["id"].is_u64() && track["sigma"]["radius"].as_f64().unwrap() > 0.0, "{track}");
     assert!(!track["seen"].as_array().unwrap().is_empty(), "it has an outline: {track}");
 
-    // Told once a second: what the stages do, and what they count.
+    // The server sends the graph and the counts once a second.
     let (json, _) = page.wait_for_state("the graph", |json| !json["about"]["graph"].is_null());
     let graph = &json["about"]["graph"];
     assert_eq!((graph["stages"].as_array().unwrap().len(), json["about"]["title"].as_str()), (5, Some("tracking")));
@@ -256,7 +257,7 @@ fn a_hundred_browsers_and_broken_connections_cost_the_run_nothing() {
     let page = Page::open(&playground, &[]);
     let mut run = playground.start(&["run", "--set", "source.rate_hz=60", "--frames", FRAMES]);
     run.wait_until("it delivers", || !playground.lines("tracks.jsonl").is_empty());
-    // Half of them ask and never read; they stay until the run is over.
+    // Half of the clients request and never read. They stay connected until the run is over.
     let silent: Vec<_> = (0..50)
         .map(|number| {
             let mut stream = TcpStream::connect(&page.host).unwrap();
@@ -271,7 +272,7 @@ fn a_hundred_browsers_and_broken_connections_cost_the_run_nothing() {
         stream.set_read_timeout(Some(ANSWER_TIMEOUT)).unwrap();
         write!(stream, "GET /look?browser=l{number} HTTP/1.1\r\nHost: {}\r\n\r\n", page.host).ok();
         let mut begin = [0; 12];
-        // Who leaves when a few bytes have come leaves in the middle.
+        // A client that leaves after a few bytes leaves in the middle of the answer.
         if stream.read_exact(&mut begin).is_ok() && begin.ends_with(b"503") {
             refused += 1;
         }
@@ -281,11 +282,11 @@ fn a_hundred_browsers_and_broken_connections_cost_the_run_nothing() {
     drop(silent);
     assert_eq!(playground.sequences("tracks.jsonl"), (0..FRAMES.parse().unwrap()).collect::<Vec<u64>>());
     assert_eq!(ended.input("depth", "extractor").dropped + ended.input("tracks", "json").dropped, 0);
-    // And who comes after them is shown something.
+    // Later clients are served.
     wait_until("a browser is served again", || page.get("/look?browser=late").status == 200);
 }
 
-/// A run that records what it makes.
+/// Runs a pipeline that records all its topics.
 pub fn recording(playground: &Playground, frames: &str) {
     let recorder = "[stage.recorder]\nnode = \"mcap_sink\"\ninput = { topic = \"tracks\", delivery = \"lossless\" }\n\
                     inputs = { depth = \"depth\" }\npath = \"run.mcap\"\n";
@@ -357,7 +358,7 @@ fn a_damaged_place_in_a_recording_ends_neither_the_page_nor_a_run() {
     let playground = Playground::new();
     recording(&playground, "400");
     let mut bytes = std::fs::read(playground.path("run.mcap")).unwrap();
-    // A chunk in the middle, but for its head.
+    // A chunk in the middle is overwritten, except its head.
     let (mut at, mut chunks) = (8, Vec::new());
     while at + 9 < bytes.len() {
         let end = at + 9 + u64::from_le_bytes(bytes[at + 1..at + 9].try_into().unwrap()) as usize;

@@ -1,5 +1,5 @@
-//! Browsers that are told what to do: Chromium by `chromedriver`, Firefox by its own Marionette protocol, which has the same
-//! commands. Firefox has no WebGL without a display; Xvfb is one.
+//! Remote control of browsers: of Chromium through `chromedriver`, and of Firefox through its own Marionette protocol, which has
+//! the same commands. Firefox has no WebGL without a display, so it uses Xvfb.
 
 use crate::support::{Started, signal, wait_until};
 use crate::view::exchange;
@@ -13,7 +13,7 @@ use std::process::{ChildStdout, Command, Stdio};
 use std::time::Duration;
 use tempfile::TempDir;
 
-/// Without a graphics card, and without a word to the network.
+/// Without a graphics card, and without requests to the network.
 const CHROMIUM: [&str; 10] = [
     "--headless",
     "--no-sandbox",
@@ -27,13 +27,13 @@ const CHROMIUM: [&str; 10] = [
     "--disable-sync",
 ];
 const FIREFOX: [&str; 3] = ["--marionette", "--remote-allow-system-access", "--no-remote"];
-/// At a port of its own, and without processes for pages that may come to be looked at.
+/// With a port of its own, and without processes for pages that may be opened later.
 const FIREFOX_SETTINGS: &str = "user_pref('marionette.port', 0);
 user_pref('fission.autostart', false);
 user_pref('dom.ipc.processCount', 1);
 user_pref('dom.ipc.processPrelaunch.enabled', false);
 ";
-/// What the page itself told Firefox's console as an error.
+/// The errors that the page has written to Firefox's console.
 const FAULTS_IN_FIREFOX: &str = "return Services.console.getMessageArray()
     .filter(told => told instanceof Ci.nsIScriptError && told.sourceName.startsWith('http://127.0.0.1')
         && !(told.flags & Ci.nsIScriptError.warningFlag))
@@ -43,7 +43,7 @@ const WAIT_PERIOD: Duration = Duration::from_millis(180);
 
 type Piped = (Started, BufReader<ChildStdout>);
 
-/// A browser that is looked through.
+/// A running browser.
 pub struct Browser {
     name: &'static str,
     driver: Driver,
@@ -55,7 +55,7 @@ enum Driver {
         session: String,
         _driver: Piped,
     },
-    /// Dropped in this order: the browser ends before its profile and its display.
+    /// The fields are dropped in this order: the browser has to end before its profile and its display are removed.
     Firefox {
         stream: RefCell<BufReader<TcpStream>>,
         browser: Started,
@@ -64,7 +64,7 @@ enum Driver {
     },
 }
 
-/// Does this in each browser that there is, in a window of this size, and says which there is not.
+/// Runs the test in each installed browser, in a window of this size, and prints which browser is missing.
 pub fn in_each_browser(width: u32, height: u32, mut test: impl FnMut(&Browser)) {
     for start in [Browser::chromium, Browser::firefox] {
         if let Some(browser) = start(width, height) {
@@ -73,7 +73,7 @@ pub fn in_each_browser(width: u32, height: u32, mut test: impl FnMut(&Browser)) 
     }
 }
 
-/// The first of these programs that there is.
+/// The first of these programs that is installed.
 fn program(names: &[&'static str]) -> Option<&'static str> {
     let is_there = |name: &&str| {
         let looked = Command::new("sh").args(["-c", "command -v \"$0\"", name]).stdout(Stdio::null()).status();
@@ -112,7 +112,7 @@ impl Browser {
     fn firefox(width: u32, height: u32) -> Option<Self> {
         let mut command = Command::new(program(&["firefox-esr", "firefox"])?);
         let mut xvfb = Command::new(program(&["Xvfb"])?);
-        // The window has a frame and is not the whole screen.
+        // The window has a frame, and does not cover the whole screen.
         let screen = format!("{}x{}x24", width + 100, height + 100);
         xvfb.args(["-displayfd", "1", "-nolisten", "tcp", "-screen", "0", &screen]);
         let (display, mut output) = Started::piped(xvfb);
@@ -139,7 +139,7 @@ impl Browser {
         Some(browser)
     }
 
-    /// Tells it a command of WebDriver: its path for `chromedriver`, its name in Marionette.
+    /// Sends a command of WebDriver: its path for `chromedriver`, its name for Marionette.
     fn ask(&self, path: &str, name: &str, body: &Json) -> Json {
         match &self.driver {
             Driver::Chromium { port, session, .. } => ask_chromedriver(port, "POST", &format!("{session}{path}"), body),
@@ -155,7 +155,7 @@ impl Browser {
         self.ask("/url", "WebDriver:Navigate", &json!({ "url": url }));
     }
 
-    /// Leaves a page, which asks for nothing more then, and cannot complain that nobody answers.
+    /// Leaves the page, so that it sends no further requests and reports no missing answers.
     pub fn leave(&self) {
         self.visit("about:blank");
     }
@@ -166,7 +166,7 @@ impl Browser {
         self.ask("/execute/sync", "WebDriver:ExecuteScript", &script)
     }
 
-    /// Asks five times a second and not more: each question takes from the browser what it is to draw with.
+    /// Checks only five times a second, because each check takes time that the browser needs to draw.
     pub fn wait(&self, what: &str, condition: &str) {
         let holds = || {
             let holds = self.value(condition) == true;
@@ -182,19 +182,19 @@ impl Browser {
         self.value(&format!("document.querySelector('{selector}').click()"));
     }
 
-    /// Clicks as a pointer does: what is clicked has the keyboard's focus first.
+    /// Clicks as a pointer does: the element gets the keyboard's focus first.
     pub fn point_at(&self, selector: &str) {
         let click = "part.dispatchEvent(new MouseEvent('click', { bubbles: true, detail: 1 }))";
         self.value(&format!("(part => (part.focus(), {click}))(document.querySelector('{selector}'))"));
     }
 
-    /// Presses a key where the focus is.
+    /// Presses a key in the focused element.
     pub fn press(&self, key: &str) {
         let event = format!("new KeyboardEvent('keydown', {{ key: '{key}', bubbles: true }})");
         self.value(&format!("document.activeElement.dispatchEvent({event})"));
     }
 
-    /// What the page complained of.
+    /// The errors that the page has reported.
     fn faults(&self) -> Vec<Json> {
         match &self.driver {
             Driver::Chromium { .. } => {
@@ -212,7 +212,7 @@ impl Browser {
         }
     }
 
-    /// Makes sure that the page has nothing to complain of, and keeps a picture of it where `CONICFLOW_PICTURES` names a folder.
+    /// Asserts that the page has reported no error, and keeps a screenshot if `CONICFLOW_PICTURES` names a folder.
     pub fn expect_no_faults(&self, name: &str) {
         let faults = self.faults();
         assert!(faults.is_empty(), "{}: {faults:?}", self.name);
@@ -232,13 +232,13 @@ impl Browser {
 }
 
 impl Drop for Browser {
-    /// Ends it, also after a test that failed. Firefox is killed, as it has nothing to keep.
+    /// Ends the browser, also after a test that failed. Firefox is killed, as it has nothing to save.
     fn drop(&mut self) {
         match &self.driver {
             Driver::Chromium { port, session, .. } => {
                 if let Ok(mut stream) = TcpStream::connect(format!("127.0.0.1:{port}")) {
                     write!(stream, "DELETE {session} HTTP/1.1\r\nHost: localhost\r\n\r\n").ok();
-                    // The driver answers when that is done.
+                    // The driver answers when the browser has ended.
                     stream.read_exact(&mut [0]).ok();
                 }
             }
@@ -257,8 +257,8 @@ fn ask_chromedriver(port: &str, method: &str, path: &str, body: &Json) -> Json {
     answer["value"].clone()
 }
 
-/// A message of Marionette: its length, a colon, and JSON; a command is `[0, id, name, arguments]`, an answer
-/// `[1, id, error, value]`.
+/// A message of Marionette is its length, a colon, and JSON: a command is `[0, id, name, arguments]`, an answer `[1, id, error,
+/// value]`.
 fn ask_marionette(stream: &mut BufReader<TcpStream>, name: &str, body: &Json) -> Json {
     let command = json!([0, 0, name, body]).to_string();
     write!(stream.get_mut(), "{}:{command}", command.len()).unwrap();

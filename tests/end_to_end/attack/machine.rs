@@ -1,4 +1,4 @@
-//! A machine of a round: its run, which may be begun again, and what was started beside it.
+//! A machine of a round: its run, which may be restarted, and the processes that were started beside it.
 
 use super::round::Victim;
 use crate::processes::{files_in_shared_memory, shared_files, stages_of, wait_for_shared_memory};
@@ -10,32 +10,32 @@ use std::time::{Duration, Instant};
 const RESULTS: &str = "tracks.jsonl";
 const NEIGHBOR_RESULTS: &str = "neighbor.jsonl";
 
-/// A machine that runs its part of the pipeline, for the first time or again.
+/// A machine that runs its part of the pipeline.
 pub struct Machine {
     playground: Playground,
-    /// What the names of all its shared memory begin with.
+    /// Prefix of the names of all its shared memory.
     prefix: String,
     command: Vec<&'static str>,
     run: Started,
-    /// When the run was first seen to have ended.
+    /// Time at which the test first saw that the run had ended.
     ended: Option<Instant>,
     neighbor: Option<Started>,
-    /// How often its run has been begun.
+    /// Number of times that its run was started.
     pub lives: usize,
     swaps: Vec<Started>,
-    /// Who is killed, and when.
+    /// Onlookers, each with the time at which it is killed.
     onlookers: Vec<(Started, Instant)>,
-    /// Who gets a signal, and when.
+    /// Stopped processes, each with a signal and the time at which it gets the signal.
     stopped: Vec<(u32, Signal, Instant)>,
-    /// When the last onlooker was killed.
+    /// Time at which the last onlooker was killed.
     killed: Option<Instant>,
-    /// Whether a launcher was killed when no stage had shared memory, or all that had were stopped and die with it: nobody was left
-    /// who could remove what was there.
+    /// Whether a launcher was killed while no stage had shared memory, or while all stages with shared memory were stopped and
+    /// then killed with it. In both cases no process was left that could remove the rest.
     launcher_alone: bool,
 }
 
 impl Machine {
-    /// Begins the run of a machine, until it has shared memory.
+    /// Starts the run of a machine, and waits until it has shared memory.
     pub fn start(text: &str, command: Vec<&'static str>) -> Self {
         let playground = Playground::with_pipeline(text);
         let mut run = playground.start(&command);
@@ -56,7 +56,7 @@ impl Machine {
         }
     }
 
-    /// Starts another pipeline beside the run, which goes on for ever, until it delivers.
+    /// Starts another pipeline, which runs without an end, beside the run, and waits until it delivers.
     pub fn start_neighbor(&mut self) {
         let text = TRACKING.replace("\"tracking\"", "\"neighbor\"").replace(RESULTS, NEIGHBOR_RESULTS);
         self.playground.write("neighbor.toml", &text);
@@ -79,7 +79,7 @@ impl Machine {
         self.run.stderr()
     }
 
-    /// The files that its sink has written, run by run.
+    /// The files that its sink has written, one for each run.
     fn results(&self) -> impl Iterator<Item = String> {
         (1..self.lives).map(former).chain([RESULTS.to_owned()])
     }
@@ -89,12 +89,12 @@ impl Machine {
         self.results().map(|file| self.playground.sequences(&file)).collect()
     }
 
-    /// How many lines these files have so far.
+    /// Number of lines of these files.
     pub fn lines(&self) -> u64 {
         self.results().map(|file| self.playground.count(&file) as u64).sum()
     }
 
-    /// Does what is due.
+    /// Sends the signals that are due, and kills the onlookers whose time has come.
     pub fn settle(&mut self) {
         let now = Instant::now();
         for (process, then, _) in self.stopped.extract_if(.., |(_, _, at)| *at <= now) {
@@ -106,7 +106,7 @@ impl Machine {
         }
     }
 
-    /// Waits until no stage is stopped any more.
+    /// Waits until no stage is stopped any longer.
     pub fn wake_all(&mut self) {
         while !self.stopped.is_empty() {
             self.settle();
@@ -149,7 +149,8 @@ impl Machine {
         wait_until("the launcher is gone", || !self.run.is_running());
     }
 
-    /// Ends the run by a signal, and begins it again: at once where it is killed, else when it has come to its end; how it ended.
+    /// Ends the run by a signal, and starts it again: at once if the signal kills it, otherwise when it has ended. Returns how it
+    /// ended.
     pub fn begin_again(&mut self, by: Signal) -> Ended {
         self.wake_all();
         self.signal(by);
@@ -158,13 +159,14 @@ impl Machine {
         self.lives += 1;
         let again = self.playground.start(&self.command);
         let ended = std::mem::replace(&mut self.run, again).wait();
-        // A signal before the launcher listens may be lost: what a script starts in the background ignores SIGINT until then.
+        // A signal may be lost before the launcher handles it: programs that a script starts in the background ignore SIGINT
+        // until then.
         let launcher = self.run.id();
         self.run.wait_until("it has stages", || !stages_of(launcher).is_empty());
         ended
     }
 
-    /// Waits for the end of the run and of all beside it, and makes sure that no process is left, and nothing in shared memory.
+    /// Waits until the run and all processes beside it have ended, and checks that no process and no shared memory is left.
     pub fn end(mut self) -> Result<Ended, String> {
         let ended = self.run.wait();
         self.neighbor.take().map_or(Ok(()), |neighbor| expect_unfelt(neighbor, &self.playground))?;
@@ -173,10 +175,10 @@ impl Machine {
                 signal(onlooker.id(), Signal::KILL);
                 self.killed = Some(Instant::now());
             }
-            // Who looks on ends by himself when there is nothing to look at.
+            // An onlooker ends when its run has ended.
             drop(onlooker.wait());
         }
-        // Who is killed when nobody else is there leaves what it had; the next run removes that.
+        // The files of an onlooker that is killed after the run are left behind; the next run removes them.
         let since_kill = |killed| self.ended.unwrap_or_else(Instant::now).saturating_duration_since(killed);
         let onlooker_alone = self.killed.is_some_and(|killed| since_kill(killed) < Duration::from_secs(2));
         let may_leave = onlooker_alone || (self.launcher_alone && ended.code.is_none());
@@ -186,12 +188,12 @@ impl Machine {
     }
 }
 
-/// What a machine's former run has written, counted from 1.
+/// File name of the results of an earlier run of a machine, counted from 1.
 fn former(life: usize) -> String {
     format!("tracks-{life}.jsonl")
 }
 
-/// Ends a neighbor and makes sure that it has felt nothing.
+/// Ends a neighboring pipeline, and checks that it was not affected.
 fn expect_unfelt(neighbor: Started, playground: &Playground) -> Result<(), String> {
     signal(neighbor.id(), Signal::INT);
     let ended = neighbor.wait();
@@ -202,7 +204,7 @@ fn expect_unfelt(neighbor: Started, playground: &Playground) -> Result<(), Strin
     if felt_nothing { Ok(()) } else { Err(format!("the neighbor felt it: {lines:?}: {}", ended.stderr)) }
 }
 
-/// Makes sure that no process is left, and nothing in shared memory; nothing but what `doctor` removes, where something may be.
+/// Checks that no process and no shared memory is left. If something may be left (`may_leave`), `doctor` has to remove all of it.
 fn expect_nothing_left(playground: &Playground, prefix: &str, may_leave: bool) -> Result<(), String> {
     wait_until("no process is left", || playground.processes().is_empty());
     let left = files_in_shared_memory(prefix);

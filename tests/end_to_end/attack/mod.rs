@@ -1,12 +1,12 @@
-//! Attacks on runs: kills, stops and swaps of stages, launchers and bridges on one to three machines, runs that are ended or
-//! killed and begun again, onlookers that come and die, messages that are forged from true ones. Each round is drawn from one
-//! seed, which is printed with all that it does: `CONICFLOW_ATTACK_SEED=123 cargo test --test end_to_end -- attack --nocapture`
-//! does that round again, and `CONICFLOW_ATTACK_ROUNDS=3000` as many others.
+//! Attacks on runs on one to three machines. They kill, stop and swap stages, kill launchers and bridges, end or kill runs and
+//! start them again, start and kill onlookers, and send forged copies of genuine messages. The seed of a round decides what
+//! happens; each round prints its seed and its actions. `CONICFLOW_ATTACK_SEED=123 cargo test --test end_to_end -- attack
+//! --nocapture` repeats a round, `CONICFLOW_ATTACK_ROUNDS=3000` does as many others.
 //!
-//! Whatever happens: a run comes to its end, no message comes twice or out of order, with a lossless reader that is killed
-//! nothing is lost, unless its writer was killed as well, what is missing is counted, exit code 1 says that something lossless
-//! was lost and nothing else does, no process and no file stays behind, and a pipeline beside the run feels nothing. Where only
-//! runs were begun again, the last one of the source comes whole from where its readers joined it.
+//! In each round the following has to hold. The run ends. No message comes twice or out of order. If a lossless reader is killed,
+//! nothing is lost, unless its writer was killed, too. Each missing message is counted. The exit code is 1 if a lossless edge has
+//! lost something, and 0 otherwise. No process and no file is left. A pipeline beside the run is not affected. If only whole runs
+//! were started again, all frames of the last run of the source arrive from the one on at which its readers joined.
 
 mod machine;
 mod round;
@@ -25,13 +25,13 @@ use zenoh::sample::Locality;
 
 const ROUNDS: &str = "CONICFLOW_ATTACK_ROUNDS";
 const SEED: &str = "CONICFLOW_ATTACK_SEED";
-/// No round lasts longer, unless it stands still: frames are few, and nobody is stopped for long.
+/// Maximum time of a round. A round that takes longer is stalled: it has few frames, and no process is stopped for long.
 const LONGEST: Duration = Duration::from_secs(120);
-/// A machine that is begun again when the others have nothing left for it is asked to end after this time.
+/// A machine that was started again may have to be interrupted if the others have ended. This is done after this time.
 const ALONE: Duration = Duration::from_secs(10);
-/// A minute on two busy cores.
+/// These rounds take a minute on two busy cores.
 const DEFAULT_ROUNDS: u64 = 16;
-/// What is drawn with the first seed is different from what [`stress`](super::stress) does.
+/// The first seed differs from those of [`stress`](super::stress), so that other actions are drawn.
 const FIRST_SEED: u64 = 1000;
 
 fn strike(blow: Blow, machines: &mut [Machine], link: Option<&zenoh::Session>) -> Result<(), String> {
@@ -53,7 +53,7 @@ fn strike(blow: Blow, machines: &mut [Machine], link: Option<&zenoh::Session>) -
     Ok(())
 }
 
-/// Listens to the link for a moment, and puts what was heard back onto it with a few bytes changed.
+/// Listens to the link for a moment, and sends the received messages again with a few bytes changed.
 fn forge(link: &zenoh::Session) {
     let subscriber = link.declare_subscriber("conicflow/**").allowed_origin(Locality::Remote);
     let (subscriber, until) = (subscriber.wait().unwrap(), Instant::now() + Duration::from_millis(300));
@@ -78,7 +78,7 @@ fn eavesdropper(endpoint: &str) -> zenoh::Session {
     session("peer", &[("connect/endpoints", &format!("[\"{endpoint}\"]")), ("connect/timeout_ms", "5000")])
 }
 
-/// Starts what a round needs: its machines, and who listens to their link.
+/// Starts the machines of a round, and the session that listens to their link.
 fn begin(round: &Round) -> (Vec<Machine>, Option<zenoh::Session>) {
     let endpoints = round.endpoints();
     let text = round.text(&endpoints);
@@ -90,7 +90,7 @@ fn begin(round: &Round) -> (Vec<Machine>, Option<zenoh::Session>) {
     (machines, link.map(|endpoint| eavesdropper(endpoint)))
 }
 
-/// Does one round; what was found wrong.
+/// Does one round. An error says what was wrong.
 fn attack(mut round: Round) -> Result<String, String> {
     let (mut machines, link) = begin(&round);
     let last = machines.len() - 1;
@@ -124,7 +124,7 @@ fn attack(mut round: Round) -> Result<String, String> {
         round.whole_from().map_or(Ok(()), |whole| expect_no_gap(&round, whole, sequences))?;
         return Ok(outcome);
     }
-    // On one machine the last run is as if no other had been before.
+    // With one machine, only the last run counts.
     round.forget_former_runs();
     let lost = expect_counted(&round, &ended[0], sequences.len() as u64)?;
     Ok(format!("{outcome}, {lost} lost"))
@@ -138,8 +138,8 @@ fn expect_no_standstill(begun: Instant, machines: &[Machine]) -> Result<(), Stri
     Err(format!("it stands still: {logs:?}"))
 }
 
-/// Waits for the end of all runs. A run that waits for a machine whose launcher is dead, or that has ended before it was begun
-/// again, is asked to end; whether that was so.
+/// Waits until all runs have ended. A run that waits for a machine whose launcher is dead, or that ended before it was started
+/// again, is interrupted. Returns whether one was.
 fn finish(round: &Round, begun: Instant, machines: &mut [Machine]) -> Result<bool, String> {
     let was_cut = round.has(|blow| matches!(blow, Blow::KillLauncher(_)));
     let was_begun_again = round.has(|blow| matches!(blow, Blow::Again(..)));
@@ -162,15 +162,15 @@ fn finish(round: &Round, begun: Instant, machines: &mut [Machine]) -> Result<boo
     Ok(was_interrupted || was_cut)
 }
 
-/// Makes sure that no frame comes twice or out of order, but where the run that makes them was begun again.
+/// Checks that no frame comes twice or out of order, unless the run of the source was started again.
 fn expect_in_order(round: &Round, results: &[Vec<u64>], source_runs: usize) -> Result<(), String> {
     let steps_back = results.iter().flat_map(|life| life.windows(2)).filter(|pair| pair[0] >= pair[1]).count();
     let allowed = if round.has_link() { source_runs - 1 } else { 0 };
     if steps_back <= allowed { Ok(()) } else { Err(format!("twice or out of order: {results:?}")) }
 }
 
-/// Makes sure that what the source's last run has made has all come, but for what machines in between held when they were begun
-/// again.
+/// Checks that all frames of the source's last run have arrived, except those that machines in between held when they were
+/// started again.
 fn expect_no_gap(round: &Round, whole: Whole, sequences: &[u64]) -> Result<(), String> {
     let start = sequences.windows(2).rposition(|pair| pair[0] >= pair[1]).map_or(0, |index| index + 1);
     let newest = &sequences[start..];
@@ -181,7 +181,7 @@ fn expect_no_gap(round: &Round, whole: Whole, sequences: &[u64]) -> Result<(), S
     if is_whole { Ok(()) } else { Err(format!("a gap: {sequences:?}")) }
 }
 
-/// Makes sure that a run has ended well, or says what it has lost.
+/// Checks that a run has ended with exit code 0, or says what it has lost.
 fn expect_explained(ended: &Ended) -> Result<(), String> {
     let is_explained = match ended.code {
         Some(0) => true,
@@ -193,9 +193,10 @@ fn expect_explained(ended: &Ended) -> Result<(), String> {
     if is_explained { Ok(()) } else { Err(format!("exit code {:?}: {}", ended.code, ended.stderr)) }
 }
 
-/// Makes sure that each edge has counted what it lost, and that the exit code says whether that was to be; how many.
+/// Checks that each edge has counted its lost messages, and that the exit code agrees with them. Returns the number of lost
+/// messages.
 fn expect_counted(round: &Round, ended: &Ended, lines: u64) -> Result<u64, String> {
-    // A run that is told to end before its first stage has joined it has nothing to count.
+    // A run that is interrupted before its first stage has joined has no counts.
     if ended.stages().is_empty() {
         let nothing_was_to_be = round.has(|blow| matches!(blow, Blow::End)) && lines == 0 && ended.code == Some(0);
         return if nothing_was_to_be { Ok(0) } else { Err(format!("no stage joined: {}", ended.stderr)) };
@@ -203,12 +204,12 @@ fn expect_counted(round: &Round, ended: &Ended, lines: u64) -> Result<u64, Strin
     let (mut lost_in_all, mut lossless_lost) = (0, 0);
     for (topic, writer, reader) in TRACKING_TOPICS {
         let (sent, row) = (ended.stage(writer).messages, ended.input(topic, reader));
-        // A stage that is killed when it has sent a message and not yet counted it makes and counts it again where it gets that
-        // input again. One that wants the newest only gets another, and its next message has the same number; so does one whose
-        // input was lost meanwhile, because what wrote it was killed as well.
+        // A stage may be killed after it has sent a message and before it has counted it. If it gets the same input again, it
+        // sends and counts the message again. An input with `latest` gets a newer one instead, and the next message has the same
+        // number. The same happens if the input is lost because its writer was killed, too.
         let gets_it_again = writer == "source" || round.is_lossless(writer) && lossless_lost == 0;
         let doubtful = if gets_it_again { 0 } else { round.kills_of(writer) };
-        // One that wants the newest only does not know what was sent before it looked for the first time.
+        // A reader with `latest` does not know of messages that were sent before it joined.
         let counted = row.received + row.dropped;
         if counted > sent + doubtful || (counted < sent && round.is_lossless(reader)) {
             return Err(format!("`{writer}` sent {sent}, `{reader}` has {row:?}: {}", ended.stderr));
@@ -224,7 +225,7 @@ fn expect_counted(round: &Round, ended: &Ended, lines: u64) -> Result<u64, Strin
     if ended.code != Some(expected) {
         return Err(format!("exit code {:?}, {lossless_lost} lossless messages lost: {}", ended.code, ended.stderr));
     }
-    // A source that is killed when it has sent a frame and not yet counted it, and the run ends, does not come back to count it.
+    // A source that is killed after it has sent a frame and before it has counted it does not restart if the run ends.
     let doubtful = round.kills_of("source");
     if round.is_all_lossless() && (lines + lost_in_all).abs_diff(made) > doubtful {
         return Err(format!("{made} made, {lines} lines, {lost_in_all} lost: {}", ended.stderr));
@@ -232,8 +233,8 @@ fn expect_counted(round: &Round, ended: &Ended, lines: u64) -> Result<u64, Strin
     Ok(lost_in_all)
 }
 
-/// Makes sure that what was lost between a stage and its lossless reader had a reason: both were killed, so that nobody was left
-/// who had it, or the reader was killed twice over the same frame.
+/// Checks that there is a reason for each message that was lost before a lossless reader: either both stages were killed, so that
+/// no process had the message, or the reader was killed twice while it processed the same frame.
 fn expect_reason(round: &Round, [writer, reader]: [&str; 2], ended: &Ended) -> Result<(), String> {
     let left_out = ended.stderr.contains(&format!("stage `{reader}` leaves out frame "));
     let both_died = round.kills_of(writer) > 0 && round.kills_of(reader) > 0;

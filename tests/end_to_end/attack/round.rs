@@ -1,11 +1,11 @@
-//! What is done in a round of the attack, as it is drawn from a seed.
+//! The actions of a round, drawn from its seed.
 
 use crate::bridge::{HALVES, loopback, placed};
 use crate::support::{TRACKING, TRACKING_STAGES};
 use rustix::process::Signal;
 use std::fmt::Write;
 
-/// Where the stages of [`TRACKING`] are on three machines.
+/// Machine of each stage of [`TRACKING`] in a round with three machines.
 const THIRDS: [(&str, &str); 5] =
     [("source", "robot"), ("extractor", "base"), ("assembler", "desk"), ("tracker", "desk"), ("json", "desk")];
 
@@ -16,42 +16,42 @@ pub struct Victim {
     pub stage: &'static str,
 }
 
-/// Something that is done to a run.
+/// An action against a run.
 #[derive(Clone, Copy, Debug)]
 pub enum Blow {
     Kill(Victim),
-    /// The stage is stopped for so many milliseconds, and then goes on, or is killed.
+    /// Stops the stage for this number of milliseconds, and then sends it this signal, which continues or kills it.
     Stop(Victim, u64, Signal),
     Swap(Victim),
-    /// Somebody on the last machine looks at a topic, and is killed after so many milliseconds.
+    /// Starts an onlooker of a topic on the last machine, and kills it after this number of milliseconds.
     LookOn(&'static str, u64),
     KillLauncher(usize),
-    /// Asks all for the end, as Ctrl-C does.
+    /// Interrupts all runs, as Ctrl-C does.
     End,
-    /// The run of a machine is killed, or asked for its end and waited for, and begun again.
+    /// Kills the run of a machine, or interrupts it and waits for its end; then starts it again.
     Again(usize, Signal),
-    /// Messages are put onto the link that are true but for a few bytes.
+    /// Sends copies of genuine messages with a few bytes changed.
     Forge,
 }
 
-/// What must have come of the frames of a run.
+/// Which frames of a run have to arrive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Whole {
     FromStart,
     FromSomewhere,
 }
 
-/// One round, as it was drawn.
+/// A round.
 #[derive(Debug)]
 pub struct Round {
     pub frames: u64,
     rate_hz: u64,
-    /// Delivery and length of the queue, of each stage but the source.
+    /// Delivery and queue length of the input of each stage except the source.
     inputs: Vec<(&'static str, usize)>,
     machines: &'static [&'static str],
-    /// Whether another pipeline is at work in the same runtime folder meanwhile.
+    /// Whether another pipeline runs in the same runtime folder.
     pub has_neighbor: bool,
-    /// After so many lines of results.
+    /// The actions, each with the number of lines of results after which it is done.
     pub blows: Vec<(u64, Blow)>,
 }
 
@@ -76,7 +76,7 @@ impl Round {
         let mut blows: Vec<_> =
             (0..random.usize(1..5)).map(|_| (random.u64(0..frames + 5), round.draw_blow(&mut random))).collect();
         blows.sort_by_key(|(after, _)| *after);
-        // Who asks for the end a second time does not want to wait for what is under way.
+        // A second interrupt means that messages under way need not be delivered.
         let mut ends = blows.iter().filter(|(_, blow)| matches!(blow, Blow::End)).count();
         blows.retain(|(_, blow)| {
             let is_end = matches!(blow, Blow::End);
@@ -93,7 +93,7 @@ impl Round {
         let victim = TRACKING_STAGES.get(stage).map_or(Victim { machine, stage: "bridge" }, |stage| self.victim(stage));
         let dies = random.bool();
         let milliseconds = random.u64(0..1500);
-        // Some stand still for longer than a bridge waits for who does not answer, and not as long as an end is waited for.
+        // Some stops last longer than a bridge waits for a silent peer, but not as long as a run waits for its end.
         let still = if random.u8(0..6) == 0 { 5200 + milliseconds / 2 } else { milliseconds };
         match random.u8(0..24) {
             0..6 => Blow::Kill(victim),
@@ -116,14 +116,14 @@ impl Round {
         if self.machines.len() == 2 { &HALVES } else { &THIRDS }
     }
 
-    /// A stage, on the machine that has it.
+    /// A stage together with its machine.
     fn victim(&self, stage: &'static str) -> Victim {
         let place = self.places().iter().find(|(own, _)| *own == stage).filter(|_| self.has_link());
         let machine = self.machines.iter().position(|machine| place.is_some_and(|(_, place)| place == machine));
         Victim { machine: machine.unwrap_or(0), stage }
     }
 
-    /// The arguments that begin the run of each machine.
+    /// Arguments of `conicflow` that start the run of each machine.
     pub fn commands(&self) -> Vec<Vec<&'static str>> {
         if !self.has_link() {
             return vec![vec!["run"]];
@@ -131,7 +131,7 @@ impl Round {
         self.machines.iter().map(|machine| vec!["run", "--machine", machine]).collect()
     }
 
-    /// The pipeline file; machines that follow each other are joined at these endpoints.
+    /// The pipeline file. Successive machines are joined at these endpoints.
     pub fn text(&self, endpoints: &[String]) -> String {
         let mut text = TRACKING.replace("rate_hz    = 0", &format!("rate_hz = {}", self.rate_hz));
         text = text.replace("width      = 64", &format!("width = 64\nframes = {}", self.frames));
@@ -155,7 +155,7 @@ impl Round {
         text
     }
 
-    /// An endpoint for each machine but the last.
+    /// One endpoint for each machine except the last.
     pub fn endpoints(&self) -> Vec<String> {
         self.machines[1..].iter().map(|_| loopback()).collect()
     }
@@ -169,8 +169,9 @@ impl Round {
         TRACKING_STAGES[1..].iter().all(|stage| self.is_lossless(stage))
     }
 
-    /// From which frame on all must come where a run was begun again: nobody wants the newest only, nobody was killed but with
-    /// his whole run, and nobody was told to end. A source that was begun again last has its readers from its first frame on.
+    /// The first frame from which on all have to arrive if a run was started again. This is known if no input has `latest`, no
+    /// process was killed except with its whole run, and no run was interrupted. If the source was started again last, its
+    /// readers receive its first frame, too.
     pub fn whole_from(&self) -> Option<Whole> {
         let is_harmless = |blow: &Blow| {
             matches!(
@@ -186,7 +187,8 @@ impl Round {
         is_whole.then_some(if last == 0 { Whole::FromStart } else { Whole::FromSomewhere })
     }
 
-    /// How often a machine in between was begun again under the last run of the source: each time what it held is gone with it.
+    /// Number of times that a machine in between was started again during the last run of the source. Each time the messages that
+    /// it held are lost.
     pub fn relays_begun_again(&self) -> usize {
         let again = self.blows.iter().rev().filter_map(|(_, blow)| match blow {
             Blow::Again(machine, _) => Some(*machine),
@@ -195,13 +197,13 @@ impl Round {
         again.take_while(|&machine| machine > 0).filter(|machine| machine + 1 < self.machines.len()).count()
     }
 
-    /// Leaves out what was done before a run was begun again for the last time.
+    /// Removes the actions before the last restart of a run.
     pub fn forget_former_runs(&mut self) {
         let last = self.blows.iter().rposition(|(_, blow)| matches!(blow, Blow::Again(..)));
         self.blows.drain(..last.map_or(0, |last| last + 1));
     }
 
-    /// How often a stage is killed.
+    /// Number of times that a stage is killed.
     pub fn kills_of(&self, stage: &str) -> u64 {
         let kills = |blow: &Blow| match blow {
             Blow::Kill(own) | Blow::Stop(own, _, Signal::KILL) => own.stage == stage,
