@@ -205,11 +205,11 @@ fn bare(wire: &[u8]) -> Outcome<[f64; 2]> {
     let endpoint = format!("[\"tcp/127.0.0.1:{port}\"]");
     let (here, there) = (session(&endpoint, "[]")?, session("[]", &endpoint)?);
     let ages = Arc::new(Mutex::new(Vec::new()));
-    let heard = Arc::clone(&ages);
+    let received = Arc::clone(&ages);
     let hear = move |sample: zenoh::sample::Sample| {
         let bytes = sample.payload().to_bytes();
         let sent = bytes.get(..8).and_then(|sent| sent.try_into().ok()).map_or(0, u64::from_ne_bytes);
-        lock(&heard).push(monotonic_ns().saturating_sub(sent));
+        lock(&received).push(monotonic_ns().saturating_sub(sent));
     };
     let zenoh = |error: zenoh::Error| error.to_string();
     let _ears = there.declare_subscriber("bench").callback(hear).wait().map_err(zenoh)?;

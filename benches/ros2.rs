@@ -59,13 +59,13 @@ fn compare() -> Outcome<()> {
     Ok(())
 }
 
-fn session(mode: &str, way: &str, endpoint: &str) -> Outcome<Session> {
+fn session(mode: &str, mode_key: &str, endpoint: &str) -> Outcome<Session> {
     let mut config = zenoh::Config::default();
     for (key, value) in [
         ("mode", format!("\"{mode}\"")),
         ("scouting/multicast/enabled", "false".to_owned()),
         ("listen/endpoints", "[]".to_owned()),
-        (&format!("{way}/endpoints"), format!("[\"{endpoint}\"]")),
+        (&format!("{mode_key}/endpoints"), format!("[\"{endpoint}\"]")),
     ] {
         config.insert_json5(key, &value).map_err(|error| error.to_string())?;
     }
@@ -109,11 +109,11 @@ impl Robot {
 fn bare(robot: &Robot, endpoint: &str) -> Outcome<[f64; 2]> {
     let there = session("client", "connect", endpoint)?;
     let ages = Arc::new(Mutex::new(Vec::new()));
-    let heard = Arc::clone(&ages);
+    let received = Arc::clone(&ages);
     let hear = move |sample: zenoh::sample::Sample| {
         let bytes = sample.payload().to_bytes();
         let sent = Image::read(&bytes).map_or(0, |image| image.stamped.stamp_ns);
-        lock(&heard).push(monotonic_ns().saturating_sub(sent));
+        lock(&received).push(monotonic_ns().saturating_sub(sent));
     };
     let _ears = there.declare_subscriber(IMAGE_KEY).callback(hear).wait().map_err(|error| error.to_string())?;
     robot.send(|number| number < IMAGES)?;

@@ -47,7 +47,7 @@ pub(super) fn key(machine: &Machine) -> Result<Option<LinkKey>, Hinted> {
 /// Whether all endpoints of a machine are on this host, so that the machines can share the key of its user.
 fn is_of_one_user(machine: &Machine, settings: &Json) -> bool {
     let mut endpoints = Vec::new();
-    ["listen", "connect"].iter().for_each(|way| collect_strings(&settings[way]["endpoints"], &mut endpoints));
+    ["listen", "connect"].iter().for_each(|key| collect_strings(&settings[key]["endpoints"], &mut endpoints));
     let is_secure = asks_who(settings) && endpoints.iter().all(|endpoint| is_encrypted(endpoint));
     let meets_anybody = !endpoints.is_empty();
     meets_anybody && !machine.insecure && !is_secure && endpoints.iter().all(|endpoint| is_local(endpoint))
@@ -80,7 +80,7 @@ pub(super) fn configurations(machine: &Machine) -> Result<(zenoh::Config, Option
     }
     let only = |wanted: fn(&str) -> bool| {
         let mut settings = settings.clone();
-        ["listen", "connect"].iter().for_each(|way| retain_strings(&mut settings[way]["endpoints"], wanted));
+        ["listen", "connect"].iter().for_each(|key| retain_strings(&mut settings[key]["endpoints"], wanted));
         configuration(&settings)
     };
     Ok((only(|endpoint| !carries_datagrams(endpoint))?, Some(only(carries_datagrams)?)))

@@ -166,7 +166,7 @@ impl Drop for Folder {
 /// The reading process: it prints a line when it is ready, and one with its percentiles at the end.
 struct ReadingProcess {
     child: Child,
-    says: BufReader<ChildStdout>,
+    output: BufReader<ChildStdout>,
 }
 
 impl ReadingProcess {
@@ -174,15 +174,15 @@ impl ReadingProcess {
         let mut command = Command::new(std::env::current_exe()?);
         command.args(["reader", way.name(), &bytes.to_string()]).arg(&folder.0).stdout(Stdio::piped());
         let mut child = command.spawn()?;
-        let says = BufReader::new(child.stdout.take().ok_or("the reader has no output")?);
-        let mut reader = Self { child, says };
+        let output = BufReader::new(child.stdout.take().ok_or("the reader has no output")?);
+        let mut reader = Self { child, output };
         reader.line()?;
         Ok(reader)
     }
 
     fn line(&mut self) -> Outcome<String> {
         let mut line = String::new();
-        self.says.read_line(&mut line)?;
+        self.output.read_line(&mut line)?;
         Ok(line)
     }
 
@@ -280,8 +280,8 @@ fn message_us(way: Way, bytes: usize) -> Outcome<f64> {
     let mut command = Command::new(std::env::current_exe()?);
     command.args(["taker", way.name()]).arg(&folder.0).stdout(Stdio::piped());
     let mut child = command.spawn()?;
-    let says = BufReader::new(child.stdout.take().ok_or("the reader has no output")?);
-    let mut reader = ReadingProcess { child, says };
+    let output = BufReader::new(child.stdout.take().ok_or("the reader has no output")?);
+    let mut reader = ReadingProcess { child, output };
     reader.line()?;
     let start = Instant::now();
     for number in 0..MESSAGES as u64 {

@@ -180,11 +180,11 @@ impl Identity {
             return Some(Self::at(&about, rest.to_owned()));
         }
         // The missing folders will be created, and are no links, so `..` cancels the part before it.
-        let mut way = PathBuf::new();
+        let mut resolved = PathBuf::new();
         for part in rest.components() {
-            if part == Component::ParentDir { way.pop().then_some(())? } else { way.push(part) }
+            if part == Component::ParentDir { resolved.pop().then_some(())? } else { resolved.push(part) }
         }
-        Self::of(&above.join(way))
+        Self::of(&above.join(resolved))
     }
 }
 

@@ -50,11 +50,11 @@ impl EmptyFrames {
     /// Checks the pixels of a frame and the number of its measurements that were left out as too far. Returns the message to log,
     /// if any.
     pub fn look(&mut self, name: &str, pixels: &[u16], too_far: u64) -> Option<String> {
-        let told = if too_far > 0 { &mut self.told_too_far } else { &mut self.told_unmeasured };
-        if *told || pixels.iter().any(|&pixel| is_measured(pixel)) {
+        let is_reported = if too_far > 0 { &mut self.told_too_far } else { &mut self.told_unmeasured };
+        if *is_reported || pixels.iter().any(|&pixel| is_measured(pixel)) {
             return None;
         }
-        *told = true;
+        *is_reported = true;
         let why = match too_far {
             0 => "no pixel is measured, all are 0, 65535 or not a number\n  hint: nothing can be found there; was the camera \
                   covered, or too near?"

@@ -223,8 +223,8 @@ fn check<T: Item>(header: &Header, bytes: &[u8]) -> Result<(), Malformed> {
     }
 }
 
-fn each_label<T: Item>(message: &AnyMessage<'_>, tell: &mut dyn FnMut(&'static str)) {
-    message.items::<T>().unwrap_or_default().iter().filter_map(Item::label).for_each(tell);
+fn each_label<T: Item>(message: &AnyMessage<'_>, visit: &mut dyn FnMut(&'static str)) {
+    message.items::<T>().unwrap_or_default().iter().filter_map(Item::label).for_each(visit);
 }
 
 fn json<T: ToJson>(message: &AnyMessage<'_>, latency_ms: Option<f64>, line: &mut Vec<u8>) -> serde_json::Result<()> {
@@ -262,11 +262,11 @@ impl<'a> AnyMessage<'a> {
     }
 
     /// Calls `tell` with the label under which each item is counted.
-    pub(crate) fn each_label(&self, mut tell: impl FnMut(&'static str)) {
+    pub(crate) fn each_label(&self, mut visit: impl FnMut(&'static str)) {
         if let Form::Known(_, labels, ..) = &self.item.form
             && self.item.is_counted
         {
-            labels(self, &mut tell);
+            labels(self, &mut visit);
         }
     }
 

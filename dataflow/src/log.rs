@@ -59,7 +59,7 @@ pub fn log_beside(filter: &str, ear: impl Layer<Registry> + Send + Sync) {
     // A closed log is not a fault of the run.
     let layer =
         layer.with_ansi(is_terminal).log_internal_errors(false).fmt_fields(debug_fn(write_field).delimited(" "));
-    let is_timed = std::env::var_os(LOG_TIME).is_some_and(|said| !said.is_empty());
+    let is_timed = std::env::var_os(LOG_TIME).is_some_and(|value| !value.is_empty());
     let layer = if is_timed { layer.boxed() } else { layer.without_time().boxed() };
     tracing_subscriber::registry().with(ear).with(layer.with_filter(targets)).try_init().ok();
 }

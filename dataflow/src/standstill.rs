@@ -14,7 +14,7 @@ pub(crate) fn who_waits(stages: &[(&PlannedStage, &Status)]) -> Vec<String> {
     let now_ns = monotonic_ns();
     let over = |status: &Status| status.life().is_over();
     let alive = stages.iter().filter(|(_, status)| !over(status));
-    alive.filter_map(|(planned, status)| waits(planned, status, stages, now_ns)).collect()
+    alive.filter_map(|(planned, status)| reason_to_wait(planned, status, stages, now_ns)).collect()
 }
 
 /// Whether any stage waits for another one to take its messages.
@@ -23,7 +23,12 @@ pub(crate) fn is_held_up(stages: &[(&PlannedStage, &Status)]) -> bool {
     stages.iter().any(|(_, status)| status.waits_for != Text::default() && !is_over(status))
 }
 
-fn waits(planned: &PlannedStage, status: &Status, stages: &[(&PlannedStage, &Status)], now_ns: u64) -> Option<String> {
+fn reason_to_wait(
+    planned: &PlannedStage,
+    status: &Status,
+    stages: &[(&PlannedStage, &Status)],
+    now_ns: u64,
+) -> Option<String> {
     let name = &planned.name;
     let silent = Duration::from_nanos(now_ns.saturating_sub(status.alive_ns));
     if silent > SILENT {
@@ -39,8 +44,8 @@ fn waits(planned: &PlannedStage, status: &Status, stages: &[(&PlannedStage, &Sta
     let sent_by = |writer: &String| stages.iter().find(|(planned, _)| planned.name == *writer).map(|(_, own)| own.sent);
     let sent = input.writers.iter().map(sent_by).sum::<Option<u64>>();
     let [counts, ..] = &status.inputs;
-    let came = counts.received.saturating_add(counts.dropped).saturating_add(counts.late);
-    if sent.is_some_and(|sent| sent > came) {
+    let arrived = counts.received.saturating_add(counts.dropped).saturating_add(counts.late);
+    if sent.is_some_and(|sent| sent > arrived) {
         return Some(format!("`{name}` has messages to work on"));
     }
     Some(format!("`{name}` waits for a message of `{}`", input.writers.join("`, `")))

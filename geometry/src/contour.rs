@@ -341,10 +341,10 @@ impl Contour {
     ) -> Option<Information<4>> {
         let sums = self.sums(&fit.surface.coefficients(), &fit.surface.derivatives());
         // At the minimum of the fit the gradients of points and contour cancel out.
-        let told = fit.inverse.try_inverse()? - fit.contour;
-        told.cholesky()?;
-        let by_noise = told * (scatter.matrix * self.noise.surface_lines.recip()).cholesky()?.inverse();
-        let (points, points_gradient) = (by_noise * told, by_noise * -sums.term(&self.prior).gradient);
+        let points_information = fit.inverse.try_inverse()? - fit.contour;
+        points_information.cholesky()?;
+        let by_noise = points_information * (scatter.matrix * self.noise.surface_lines.recip()).cholesky()?.inverse();
+        let (points, points_gradient) = (by_noise * points_information, by_noise * -sums.term(&self.prior).gradient);
         let Sums { shared, shared_error, shared_slope, .. } = sums;
         let mean = &self.noise.bias.mean;
         // The errors are relative to the expected bias: adds it again.

@@ -87,8 +87,8 @@ impl Flip {
         let corner: usize =
             axes.iter().filter(|(_, same)| !same).map(|&(axis, _)| old_strides[axis] * (sizes[axis] - 1)).sum();
         let from = |start: usize, (axis, same): (usize, bool), count: usize| {
-            let way = old_strides[axis] * count;
-            if same { start + way } else { start - way }
+            let offset = old_strides[axis] * count;
+            if same { start + offset } else { start - offset }
         };
         for (y, row) in flipped.chunks_exact_mut(sizes[axes[0].0]).enumerate() {
             let start = from(corner, axes[1], y);

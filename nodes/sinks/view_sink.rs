@@ -95,15 +95,15 @@ impl<T: Item> Stage for ViewSink<T> {
 /// Shows the state of the run's stages on the page once a second while a browser is connected, and pauses the run on request.
 fn show_graph(shown: &Weak<Display>) {
     lower_priority();
-    let (mut watch, mut pipeline, mut looked) = (GraphWatch::default(), None::<String>, Instant::now());
+    let (mut watch, mut pipeline, mut last_check) = (GraphWatch::default(), None::<String>, Instant::now());
     while let Some(display) = shown.upgrade() {
         if let Some((command, pipeline)) = display.next_command(END_CHECK_PERIOD).zip(pipeline.as_ref()) {
             pausing::obey(pipeline, &command, &display);
         }
-        if looked.elapsed() < PERIOD {
+        if last_check.elapsed() < PERIOD {
             continue;
         }
-        looked = Instant::now();
+        last_check = Instant::now();
         if display.is_watched() {
             let own = std::process::id();
             if let Some((graph, sources)) =

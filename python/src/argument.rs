@@ -1,4 +1,4 @@
-//! Conversion of numbers and words, with errors that say what came, what was expected, and how to convert it.
+//! Conversion of numbers and words, with errors that say what was given, what was expected, and how to convert it.
 
 use crate::fault;
 use pyo3::prelude::*;
@@ -11,7 +11,7 @@ const STAMP: &str = "of seconds give round(seconds * 1e9), of a stamp of ROS sta
 const MOST_SHOWN: usize = 80;
 
 /// Describes a given value for an error.
-pub(crate) fn came(given: &Bound<'_, PyAny>) -> String {
+pub(crate) fn describe(given: &Bound<'_, PyAny>) -> String {
     let kind = given.get_type().name().map_or_else(|_| String::new(), |name| name.to_string());
     let text = given.repr().map_or_else(|_| String::new(), |text| text.to_string());
     if given.is_none() {
@@ -34,7 +34,7 @@ pub(crate) fn whole(name: &str, given: &Bound<'_, PyAny>, most: u64, hint: &str)
     {
         return Ok(number);
     }
-    let what = format!("`{name}` is {}, expected a whole number from 0 to {most}", came(given));
+    let what = format!("`{name}` is {}, expected a whole number from 0 to {most}", describe(given));
     let is_whole = given.py().import("operator")?.call_method1("index", (given,)).is_ok();
     Err(if is_whole { fault::value(what, hint) } else { fault::kind(what, hint) })
 }
@@ -54,11 +54,11 @@ pub(crate) fn stamp_ns(given: &Bound<'_, PyAny>) -> PyResult<u64> {
 
 /// Converts a number.
 pub(crate) fn number(name: &str, given: &Bound<'_, PyAny>, hint: &str) -> PyResult<f64> {
-    given.extract().map_err(|_| fault::kind(format!("`{name}` is {}, expected a number", came(given)), hint))
+    given.extract().map_err(|_| fault::kind(format!("`{name}` is {}, expected a number", describe(given)), hint))
 }
 
 /// Converts a word.
 pub(crate) fn word(name: &str, given: &Bound<'_, PyAny>, hint: &str) -> PyResult<String> {
     let word = given.cast::<PyString>().map(|word| word.to_string());
-    word.map_err(|_| fault::kind(format!("`{name}` is {}, expected a str", came(given)), hint))
+    word.map_err(|_| fault::kind(format!("`{name}` is {}, expected a str", describe(given)), hint))
 }

@@ -22,7 +22,7 @@ pub(crate) fn of_message<'py>(message: &Bound<'py, Message>) -> PyResult<Bound<'
         let camera = &message.get().header().camera;
         let shape = (camera.height as usize, camera.width as usize);
         let pixels = try_cast_slice::<_, u16>(bytes).unwrap_or_default();
-        let pixels = ArrayView2::from_shape(shape, pixels).map_err(|error| fault::told(&error))?;
+        let pixels = ArrayView2::from_shape(shape, pixels).map_err(|error| fault::from_error(&error))?;
         return Ok(lent(&pixels, message)?.into_any());
     }
     let bytes = lent(&ArrayView1::from(bytes), message)?;
@@ -37,7 +37,7 @@ fn lent<'py, T: Element, D: Dimension>(
     // SAFETY: the items belong to the message, which is the base of the array and kept alive by it; they neither move nor change
     // before it is dropped. The base has no writable buffer, so NumPy cannot make the array writable again.
     let array = unsafe { PyArray::borrow_from_array(items, message.clone().into_any()) };
-    let locked = array.try_readwrite().map_err(|error| fault::told(&error))?;
+    let locked = array.try_readwrite().map_err(|error| fault::from_error(&error))?;
     drop(locked.make_nonwriteable());
     Ok(array)
 }

@@ -30,7 +30,7 @@ impl<'py> DepthArray<'py> {
     pub(crate) fn new(depth: &Bound<'py, PyAny>) -> PyResult<Self> {
         let py = depth.py();
         let Ok(array) = depth.cast::<PyUntypedArray>() else {
-            let came = depth.get_type().name()?;
+            let type_name = depth.get_type().name()?;
             let hint = if depth.is_none() {
                 "was the file read? cv2.imread returns None for one that it cannot find or read"
             } else if depth.is_instance_of::<PyString>() || depth.hasattr("__fspath__")? {
@@ -40,7 +40,7 @@ impl<'py> DepthArray<'py> {
             } else {
                 "numpy.asarray(depth) may do"
             };
-            return Err(fault::kind(format!("`depth` is of type {came}, {EXPECTED}"), hint));
+            return Err(fault::kind(format!("`depth` is of type {type_name}, {EXPECTED}"), hint));
         };
         if array.hasattr("mask")? {
             return Err(fault::kind(

@@ -83,7 +83,7 @@ pub(crate) fn detect<'py>(
             look(&mut last.insert(made).detector)
         })
     })?;
-    record::list_of(py, &found.map_err(|error| fault::told(&error))?)
+    record::list_of(py, &found.map_err(|error| fault::from_error(&error))?)
 }
 
 /// The result of a detector for an image.
@@ -155,7 +155,7 @@ impl PyDetector {
             let what = format!("the depth image is {}x{}, the first one was {width}x{height}", size.0, size.1);
             fault::value(what, "make a Detector for each size")
         })?;
-        record::list_of(py, &found.map_err(|error| fault::told(&error))?)
+        record::list_of(py, &found.map_err(|error| fault::from_error(&error))?)
     }
 
     /// The noise of the last image, near and far, relative to the noise model (standard deviations): far from 1, the model does
@@ -168,9 +168,10 @@ impl PyDetector {
     /// The reasons why arcs and candidates of the last image were rejected, with their counts.
     #[getter]
     fn rejections<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let told: Vec<_> = py.detach(|| self.made().iter().flat_map(|(_, detector)| detector.rejections()).collect());
+        let rejections: Vec<_> =
+            py.detach(|| self.made().iter().flat_map(|(_, detector)| detector.rejections()).collect());
         let counts = PyDict::new(py);
-        told.into_iter().try_for_each(|(reason, times)| counts.set_item(reason, times))?;
+        rejections.into_iter().try_for_each(|(reason, times)| counts.set_item(reason, times))?;
         Ok(counts)
     }
 
@@ -197,7 +198,7 @@ impl PyDetector {
 pub(crate) fn objects(given: &Bound<'_, PyAny>) -> PyResult<Vec<Object>> {
     let mut objects = Vec::new();
     let each = given.try_iter().map_err(|_| {
-        let what = format!("`objects` is {}, expected a list of conicflow.Object", argument::came(given));
+        let what = format!("`objects` is {}, expected a list of conicflow.Object", argument::describe(given));
         fault::kind(what, "of one object give [object], where nothing was found []")
     })?;
     for (index, each) in each.enumerate() {
@@ -205,8 +206,8 @@ pub(crate) fn objects(given: &Bound<'_, PyAny>) -> PyResult<Vec<Object>> {
         let record = each.cast::<Record>().ok().map(|record| record.get());
         let object = record.and_then(|record| record.item_as::<Object>());
         objects.push(object.ok_or_else(|| {
-            let came = each.get_type().name().map_or_else(|_| String::new(), |name| name.to_string());
-            let what = format!("`objects` has a {came} at {index}, expected conicflow.Object");
+            let type_name = each.get_type().name().map_or_else(|_| String::new(), |name| name.to_string());
+            let what = format!("`objects` has a {type_name} at {index}, expected conicflow.Object");
             fault::kind(what, "pass what detect() returned, or the items of a message with objects")
         })?);
     }

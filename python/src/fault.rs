@@ -17,7 +17,7 @@ pub(crate) fn kind(what: impl Into<String>, hint: impl Into<String>) -> PyErr {
 }
 
 /// A ValueError from an error of the library, which contains its hint.
-pub(crate) fn told(error: &dyn Error) -> PyErr {
+pub(crate) fn from_error(error: &dyn Error) -> PyErr {
     PyValueError::new_err(error.to_string())
 }
 

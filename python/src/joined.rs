@@ -27,8 +27,8 @@ pub(crate) struct Joined {
 
 impl Joined {
     /// Creates it from the context and the parameters; a process that is not wanted any more has neither.
-    pub(crate) fn new(py: Python<'_>, told: Option<(&Context, &serde_json::Value)>) -> PyResult<Self> {
-        let (context, parameters) = match told {
+    pub(crate) fn new(py: Python<'_>, given: Option<(&Context, &serde_json::Value)>) -> PyResult<Self> {
+        let (context, parameters) = match given {
             Some((context, parameters)) => (context.clone(), parameters.to_string()),
             None => (Context::default(), "{}".to_owned()),
         };

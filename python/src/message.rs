@@ -234,7 +234,7 @@ impl Message {
         let mut line = Vec::new();
         AnyMessage { header: &self.header, item: &self.item, bytes: self.bytes()? }
             .write_json(self.latency_ms, &mut line)
-            .map_err(|error| fault::told(&error))?;
+            .map_err(|error| fault::from_error(&error))?;
         py.import("json")?.call_method1("loads", (PyBytes::new(py, &line),))
     }
 

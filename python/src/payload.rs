@@ -60,11 +60,11 @@ impl Payload {
 }
 
 /// Checks that items of one type can be sent as another.
-fn expect(item: &ItemType, came: &ItemType) -> PyResult<()> {
-    if item.fits(came) {
+fn expect(item: &ItemType, sent: &ItemType) -> PyResult<()> {
+    if item.fits(sent) {
         return Ok(());
     }
-    let what = format!("the output carries {}, but {} were to be sent", item.name(), came.name());
+    let what = format!("the output carries {}, but {} were to be sent", item.name(), sent.name());
     Err(fault::kind(what, "the pipeline file says what it carries: output = { topic = \"..\", kind = \"..\" }"))
 }
 
@@ -72,15 +72,15 @@ fn expect(item: &ItemType, came: &ItemType) -> PyResult<()> {
 fn bytes_of_records(item: &ItemType, given: &Bound<'_, PyAny>) -> PyResult<Vec<u8>> {
     let mut bytes = Vec::new();
     let items = given.try_iter().map_err(|_| {
-        let what = format!("the items are {}, expected a list of records or a NumPy array", argument::came(given));
+        let what = format!("the items are {}, expected a list of records or a NumPy array", argument::describe(given));
         fault::kind(what, "of one record give a list with it, where there is none an empty list")
     })?;
     for each in items {
         let each = each?;
         let record = each.cast::<Record>().ok().filter(|record| item.fits(record.get().item())).ok_or_else(|| {
-            let came = each.get_type().name().map_or_else(|_| String::new(), |name| name.to_string());
+            let type_name = each.get_type().name().map_or_else(|_| String::new(), |name| name.to_string());
             let hint = "records of conicflow are of one kind, such as Object of objects; the pipeline file says which an output carries";
-            fault::kind(format!("a {came} is no item of {}", item.name()), hint)
+            fault::kind(format!("a {type_name} is no item of {}", item.name()), hint)
         })?;
         bytes.extend_from_slice(record.get().bytes());
     }

@@ -143,7 +143,7 @@ fn unpickled<'py>(py: Python<'py>, layout: &str, bytes: &[u8]) -> PyResult<Bound
     });
     let camera = Camera { width, height, fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 };
     let header = Header { camera, depth_scale: COARSEST_SCALE, ..Header::default() };
-    item.check(&header, bytes).map_err(|error| fault::told(&error))?;
+    item.check(&header, bytes).map_err(|error| fault::from_error(&error))?;
     Record::new(item, bytes).into_python(py)
 }
 
@@ -203,7 +203,7 @@ impl Record {
     fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let message = AnyMessage { header: &Header::default(), item: &self.item, bytes: self.bytes() };
         let mut line = Vec::new();
-        message.write_json(None, &mut line).map_err(|error| fault::told(&error))?;
+        message.write_json(None, &mut line).map_err(|error| fault::from_error(&error))?;
         let line = py.import("json")?.call_method1("loads", (PyBytes::new(py, &line),))?;
         Ok(line.get_item(self.item.name())?.get_item(0)?.cast_into()?)
     }

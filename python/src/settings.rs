@@ -31,7 +31,7 @@ pub(crate) fn intrinsics(camera: &Bound<'_, PyAny>) -> PyResult<Intrinsics> {
     let numbers: Option<Vec<f64>> = camera.extract().or_else(|_| rows()).ok().filter(|_| !is_text);
     let numbers = numbers.ok_or_else(|| {
         let hint = OF_OTHERS.iter().find(|(attribute, _)| camera.hasattr(*attribute).unwrap_or(false));
-        let what = format!("`camera` is {}, expected four numbers or a matrix K", argument::came(camera));
+        let what = format!("`camera` is {}, expected four numbers or a matrix K", argument::describe(camera));
         fault::kind(what, hint.map_or(CAMERA, |(_, hint)| hint))
     })?;
     let (fx, fy, cx, cy) = match numbers[..] {
@@ -97,7 +97,7 @@ fn read<T: Config>(name: &str, value: &Bound<'_, PyAny>) -> PyResult<T> {
         if given.hasattr("tolist")? {
             return given.call_method0("tolist").map(Bound::unbind);
         }
-        Err(PyTypeError::new_err(format!("has {}, which is no number, word or dictionary", argument::came(&given))))
+        Err(PyTypeError::new_err(format!("has {}, which is no number, word or dictionary", argument::describe(&given))))
     })?;
     let settings = [("default", plain.into_any()), ("allow_nan", PyBool::new(py, false).to_owned().into_any())];
     let text = py.import("json")?.call_method("dumps", (value,), Some(&settings.into_py_dict(py)?));
@@ -106,14 +106,14 @@ fn read<T: Config>(name: &str, value: &Bound<'_, PyAny>) -> PyResult<T> {
             if error.is_instance_of::<PyTypeError>(py) {
                 fault::kind(format!("`{name}` {}", error.value(py)), hint)
             } else {
-                fault::value(format!("`{name}` is {}, expected finite numbers", argument::came(value)), hint)
+                fault::value(format!("`{name}` is {}, expected finite numbers", argument::describe(value)), hint)
             }
         })?
         .extract()?;
-    let said: Json =
+    let value_json: Json =
         serde_json::from_str(&text).map_err(|error| fault::value(format!("`{name}` is {text}: {error}"), hint))?;
-    if let Some(Hinted { what, hint, .. }) = value_fault::<T>(name, &said) {
+    if let Some(Hinted { what, hint, .. }) = value_fault::<T>(name, &value_json) {
         return Err(fault::value(what, hint));
     }
-    serde_json::from_value(said).map_err(|error| fault::value(format!("`{name}` is {text}: {error}"), hint))
+    serde_json::from_value(value_json).map_err(|error| fault::value(format!("`{name}` is {text}: {error}"), hint))
 }

@@ -108,7 +108,7 @@ impl Source {
                     let what = format!("`sequence` is {wanted}, but numbers of frames rise");
                     return Err(fault::value(what, format!("give {next} or more, or none")));
                 }
-                pulled.send(header, &payload.bytes).map_err(|error| fault::told(&error))?;
+                pulled.send(header, &payload.bytes).map_err(|error| fault::from_error(&error))?;
                 if output.is_image() && !source.is_told.load(Ordering::Relaxed) {
                     source.tell(&context.stage, &header, bytemuck::cast_slice(&payload.bytes));
                 }

@@ -86,7 +86,7 @@ impl Stage {
         slf.py().detach(|| match &mut *stage.pulled.lock()? {
             Some(pulled) => pulled
                 .send(|header| change.apply(header, &payload), &payload.bytes)
-                .map_err(|error| fault::told(&error)),
+                .map_err(|error| fault::from_error(&error)),
             None => Ok(()),
         })
     }

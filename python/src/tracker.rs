@@ -29,7 +29,7 @@ const TIMES: u32 = 3;
 struct Stamps {
     /// By camera number: the last stamp, and how many times in a row it was too close to the one before.
     last: BTreeMap<u32, (u64, u32)>,
-    has_told: bool,
+    has_warned: bool,
 }
 
 impl Stamps {
@@ -39,9 +39,9 @@ impl Stamps {
         let is_close = stamp_ns > last && stamp_ns - last < TOO_CLOSE_NS;
         let times = if is_close { times + 1 } else { 0 };
         self.last.insert(camera, (stamp_ns, times));
-        let tells = times >= TIMES && !self.has_told;
-        self.has_told |= tells;
-        tells
+        let warns = times >= TIMES && !self.has_warned;
+        self.has_warned |= warns;
+        warns
     }
 }
 
@@ -96,7 +96,7 @@ impl PyTracker {
                 None => Ok(tracker.update(&objects, stamp_ns).to_vec()),
             }
         });
-        record::list_of(py, &tracks.map_err(|error| fault::told(&error))?)
+        record::list_of(py, &tracks.map_err(|error| fault::from_error(&error))?)
     }
 
     /// Refuses copies: the tracker is memory of this process.

@@ -149,8 +149,8 @@ impl<T: Item + Marked, M: Middleware> Stage for Ros2Sink<T, M> {
 impl<T, M> Ros2Sink<T, M> {
     /// Returns the frame id of a message. For recorded frames, the header's source is a file name and not used.
     fn frame_id<'a>(&'a self, header: &'a Header, origin: Option<&'a str>) -> &'a str {
-        let told = header.source.as_str().filter(|name| !name.is_empty() && !header.is_recorded());
-        let named = self.config.frame_id.as_deref().or(told).or(origin.filter(|name| !name.is_empty()));
+        let source = header.source.as_str().filter(|name| !name.is_empty() && !header.is_recorded());
+        let named = self.config.frame_id.as_deref().or(source).or(origin.filter(|name| !name.is_empty()));
         named.unwrap_or(NAMELESS)
     }
 }

@@ -116,9 +116,9 @@ impl SourceConfig {
 /// An image that was received.
 struct Waiting {
     message: Vec<u8>,
-    came: Instant,
+    arrived: Instant,
     /// The time when it was received, in nanoseconds since 1970.
-    came_ns: u64,
+    arrived_ns: u64,
 }
 
 /// Reads depth images from a ROS 2 topic.
@@ -145,7 +145,7 @@ pub struct Ros2Source<M> {
     checked: Option<Camera>,
     notices: Notices,
     /// When the last image came, and whether the silence since then was reported.
-    heard: (Instant, bool),
+    last_image: (Instant, bool),
     is_reported: bool,
     empty: EmptyFrames,
     stop: Stop,
@@ -191,7 +191,7 @@ impl<M: Middleware> Source for Ros2Source<M> {
             without_pose: None,
             checked: None,
             notices: Notices::default(),
-            heard: (Instant::now(), false),
+            last_image: (Instant::now(), false),
             is_reported: context.resume_at > 0,
             empty: if context.resume_at > 0 { EmptyFrames::silent() } else { EmptyFrames::default() },
             stop: context.stop.clone(),
@@ -228,17 +228,17 @@ impl<M: Middleware> Ros2Source<M> {
     /// Receives the next image, waiting for a short while. While the camera is unknown, only the newest image is kept.
     fn take_image(&mut self, output: &mut Output<u16>) {
         let look = if self.waiting.is_empty() { IMAGE_TIMEOUT } else { IMAGE_TIMEOUT_WHILE_ONE_WAITS };
-        let came = self.middleware.receive(IMAGES, look);
+        let message = self.middleware.receive(IMAGES, look);
         output.count(LOST, self.middleware.take_lost(IMAGES));
-        let Some(message) = came else { return };
-        let came = Instant::now();
-        if std::mem::replace(&mut self.heard, (came, false)).1 {
+        let Some(message) = message else { return };
+        let arrived = Instant::now();
+        if std::mem::replace(&mut self.last_image, (arrived, false)).1 {
             tracing::info!("images come on `{}`", self.ends[IMAGES].topic);
         }
         if !self.cameras.are_known() {
             output.count(WITHOUT_CAMERA, self.waiting.drain(..).count() as u64);
         }
-        self.waiting.push_back(Waiting { message, came, came_ns: unix_ns() });
+        self.waiting.push_back(Waiting { message, arrived, arrived_ns: unix_ns() });
     }
 
     /// Whether the camera is unknown and its CameraInfo is still waited for.
@@ -278,9 +278,9 @@ impl<M: Middleware> Ros2Source<M> {
         }
         // A driver without a clock leaves the time at zero.
         let stamped = picture.stamped();
-        let stamp_ns = if stamped.stamp_ns > 0 { stamped.stamp_ns } else { image.came_ns };
+        let stamp_ns = if stamped.stamp_ns > 0 { stamped.stamp_ns } else { image.arrived_ns };
         let pose = self.pose(&Stamped { stamp_ns, ..stamped });
-        let may_come = image.came.elapsed() < self.patience_with_pose && self.waiting.len() < MOST_WITHOUT_POSE;
+        let may_come = image.arrived.elapsed() < self.patience_with_pose && self.waiting.len() < MOST_WITHOUT_POSE;
         if pose.is_none() && self.config.world.is_some() && may_come {
             return Ok(None);
         }
@@ -356,10 +356,10 @@ impl<M: Middleware> Ros2Source<M> {
     /// Reports that no images come, and which topics there are instead.
     fn tell_silence(&mut self, is_joined: bool) {
         if !is_joined {
-            self.heard.0 = Instant::now();
+            self.last_image.0 = Instant::now();
         }
-        if self.heard.0.elapsed() > REPORT_SILENCE_AFTER && !self.heard.1 {
-            self.heard.1 = true;
+        if self.last_image.0.elapsed() > REPORT_SILENCE_AFTER && !self.last_image.1 {
+            self.last_image.1 = true;
             let Hinted { what, hint, .. } = self.explain_silence();
             tracing::warn!("{what}\n  hint: {hint}");
         }

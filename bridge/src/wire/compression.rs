@@ -54,6 +54,10 @@ pub(super) fn unpack(how: Compression, packed: &[u8], length: usize) -> Result<V
             unpacked.map_err(|error| error.to_string())?.map_err(|error| error.to_string())
         })?,
     };
-    let came = unpacked.len();
-    if came == length { Ok(unpacked) } else { Err(format!("{came} bytes unpacked, expected {length}")) }
+    let unpacked_length = unpacked.len();
+    if unpacked_length == length {
+        Ok(unpacked)
+    } else {
+        Err(format!("{unpacked_length} bytes unpacked, expected {length}"))
+    }
 }

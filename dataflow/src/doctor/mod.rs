@@ -49,8 +49,8 @@ pub fn examine(plans: &[Plan], metrics: &[SocketAddr], registry: &Registry) -> V
 
 /// Drops repeated findings, as several plans may have the same.
 fn without_repetition(findings: Vec<Finding>) -> Vec<Finding> {
-    let mut told = HashSet::new();
-    findings.into_iter().filter(|finding| told.insert(finding.to_string())).collect()
+    let mut seen = HashSet::new();
+    findings.into_iter().filter(|finding| seen.insert(finding.to_string())).collect()
 }
 
 /// Removes leftovers of this user's dead runs, and returns descriptions of them. Files in use by a live process of any user stay.

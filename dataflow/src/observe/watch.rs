@@ -338,11 +338,11 @@ impl RunningPipeline {
 /// # Errors
 /// The system refuses to deliver signals.
 pub fn termination_flag() -> io::Result<Arc<AtomicBool>> {
-    let told = Arc::new(AtomicBool::new(false));
+    let interrupted = Arc::new(AtomicBool::new(false));
     for signal in ending_signals() {
-        signal_hook::flag::register(signal, Arc::clone(&told))?;
+        signal_hook::flag::register(signal, Arc::clone(&interrupted))?;
     }
-    Ok(told)
+    Ok(interrupted)
 }
 
 /// Whether a message is to be returned: it is well-formed, and is not the end of a stream.

@@ -61,10 +61,10 @@ fn inputs(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) 
         }
     }
     for input in stage.all_inputs() {
-        if let (Some(said), Some(kind)) = (&input.kind, pipeline.kind_of(&input.topic))
-            && said != kind
+        if let (Some(declared), Some(kind)) = (&input.kind, pipeline.kind_of(&input.topic))
+            && declared != kind
         {
-            let what = format!("the topic `{}` carries {kind}, not {said}", input.topic);
+            let what = format!("the topic `{}` carries {kind}, not {declared}", input.topic);
             faults.push(Diagnostic::error(&input.place, what, "remove `kind`: the stage that writes it tells"));
         }
     }
@@ -135,11 +135,11 @@ fn kind_is_known(pipeline: &Pipeline, node: &Node, input: &Input, accepted: &[&s
 
 fn output(pipeline: &Pipeline, stage: &StageSpec, faults: &mut Vec<Diagnostic>) {
     let (Some(topic), Some(place)) = (&stage.output, &stage.output_place) else { return };
-    if let (Some(said), Program::Node(node)) = (&stage.declared_output, &stage.program)
-        && said != node.output()
+    if let (Some(declared), Program::Node(node)) = (&stage.declared_output, &stage.program)
+        && declared != node.output()
         && !node.writes_any()
     {
-        let what = format!("`{}` writes {}, not {said}", node.name, node.output());
+        let what = format!("`{}` writes {}, not {declared}", node.name, node.output());
         faults.push(Diagnostic::error(place, what, "remove `kind`: the node tells"));
     }
     if let (Some(kind), Some(first)) = (stage.output_kind(), pipeline.kind_of(topic))

@@ -165,10 +165,10 @@ impl Pipeline {
     pub fn kind_of(&self, topic: &str) -> Option<&str> {
         let writers = self.stages.iter().filter(|stage| stage.output.as_deref() == Some(topic));
         let mut inputs = self.stages.iter().flat_map(StageSpec::all_inputs).filter(|input| input.topic == topic);
-        let said = || inputs.find_map(|input| input.kind.as_deref());
+        let declared = || inputs.find_map(|input| input.kind.as_deref());
         let needed = || self.stages.iter().find_map(|stage| stage.needed_kind(topic));
         let replayed = || writers.clone().any(StageSpec::writes_any).then_some(u16::NAME);
-        writers.clone().find_map(StageSpec::output_kind).or_else(said).or_else(needed).or_else(replayed)
+        writers.clone().find_map(StageSpec::output_kind).or_else(declared).or_else(needed).or_else(replayed)
     }
 
     /// The names of all topics, in the order of the stages that write them.

@@ -117,14 +117,14 @@ impl Topic {
     /// The topic carries another type, according to the pipeline file.
     fn expect(&self, item: &ItemType) -> Result<(), PortError> {
         match &self.item {
-            Some(said) if !said.fits(item) => {
-                let hint = if said.is_built_in() {
+            Some(declared) if !declared.fits(item) => {
+                let hint = if declared.is_built_in() {
                     OTHER_BUILD.to_owned()
                 } else {
-                    format!("let `type` and `fields` under [item.{}] be those of the program", said.name())
+                    format!("let `type` and `fields` under [item.{}] be those of the program", declared.name())
                 };
-                let said = format!(": the pipeline file says {said}");
-                Err(PortError::Incompatible { topic: self.name.clone(), own: item.to_string(), said, hint })
+                let declared = format!(": the pipeline file says {declared}");
+                Err(PortError::Incompatible { topic: self.name.clone(), own: item.to_string(), declared, hint })
             }
             _ => Ok(()),
         }
@@ -182,14 +182,14 @@ pub enum PortError {
         path: PathBuf,
     },
     /// The topic carries another type of message.
-    #[error("topic `{topic}` carries another type of message than {own}{said}\n  hint: {hint}")]
+    #[error("topic `{topic}` carries another type of message than {own}{declared}\n  hint: {hint}")]
     Incompatible {
         /// The topic.
         topic: String,
         /// The type that this stage has.
         own: String,
         /// Text that names the other type, where it is known.
-        said: String,
+        declared: String,
         /// Hint.
         hint: String,
     },

@@ -140,8 +140,9 @@ fn held(plan: &Plan, topic: &Topic, reader: &TopicReader, nodes: &[Node]) -> usi
     let Some(stage) = plan.stage(&reader.stage) else { return HELD };
     let side_inputs = node_of(stage, nodes).map_or(&[] as &[SideInput], Node::side_inputs);
     let wired = stage.wiring.side_inputs.iter().filter(|(_, wired)| wired.name == topic.name);
-    let waits = |name: &str| side_inputs.iter().any(|side| side.name == name && side.pairing == Pairing::SameFrame);
-    if wired.into_iter().any(|(name, _)| waits(name)) { HELD_FOR_FRAME } else { HELD }
+    let waits_for_frame =
+        |name: &str| side_inputs.iter().any(|side| side.name == name && side.pairing == Pairing::SameFrame);
+    if wired.into_iter().any(|(name, _)| waits_for_frame(name)) { HELD_FOR_FRAME } else { HELD }
 }
 
 fn open_files(stage: &PlannedStage) -> u64 {

@@ -104,7 +104,7 @@ impl Successor {
         write(&self.handover.first, first)?;
         match self.launcher.write_all(b"r") {
             Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
-            told => told,
+            result => result,
         }
     }
 

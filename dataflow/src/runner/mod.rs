@@ -120,8 +120,8 @@ fn with_causes(error: &(dyn Error + 'static)) -> String {
     let mut text = error.to_string();
     let mut cause = error.source();
     while let Some(error) = cause {
-        let told = error.to_string();
-        text = if text.contains(&told) { text } else { format!("{text}: {told}") };
+        let message = error.to_string();
+        text = if text.contains(&message) { text } else { format!("{text}: {message}") };
         cause = error.source();
     }
     text

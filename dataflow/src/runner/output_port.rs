@@ -204,13 +204,13 @@ impl<W: Writer> OutputPort<W> {
     fn end_each(&mut self, ends: &[Header]) -> Result<(), PortError> {
         // Ends would replace messages that are kept.
         self.await_finish();
-        let (mut announcement, mut looked) =
+        let (mut announcement, mut last_check) =
             (EndAnnouncement::until(Instant::now() + PATIENCE_WITH_LIVE_READERS), Instant::now());
         while !self.stop.forced() && !self.announce_end(ends, &mut announcement, Instant::now())? {
             match &mut self.port {
                 // A reader that was killed, and is not restarted, counts as connected until its port is cleaned up.
-                Some((writer, _)) if looked.elapsed() > ANNOUNCEMENT_PERIOD => {
-                    looked = Instant::now();
+                Some((writer, _)) if last_check.elapsed() > ANNOUNCEMENT_PERIOD => {
+                    last_check = Instant::now();
                     writer.wait(READER_CHECK_PERIOD);
                 }
                 _ => std::thread::sleep(READER_CHECK_PERIOD),
@@ -262,7 +262,7 @@ impl<W: Writer> OutputPort<W> {
     fn await_readers(&mut self) -> Result<(), PortError> {
         self.await_room()?;
         let deadline = Instant::now() + PATIENCE_WITH_LIVE_READERS;
-        let mut said = false;
+        let mut warned = false;
         loop {
             let first = self.number == 0 && Instant::now() < deadline;
             let Some(absent) = self.absent_readers(!first).next() else { return Ok(()) };
@@ -270,9 +270,9 @@ impl<W: Writer> OutputPort<W> {
             if self.stop.requested() {
                 return Err(PortError::Stopped);
             }
-            if Instant::now() > deadline && !said {
+            if Instant::now() > deadline && !warned {
                 tracing::warn!("waiting for `{}`, which must not miss a message", absent.stage);
-                said = true;
+                warned = true;
             }
             std::thread::sleep(READER_CHECK_PERIOD);
         }

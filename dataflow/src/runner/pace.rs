@@ -70,8 +70,8 @@ impl Pace {
         let due = self.due.and_then(|due| due.checked_add(Duration::from_nanos(since_last)));
         let due = due.filter(|due| *due > now).unwrap_or(now);
         (self.due, self.stamp_ns) = (Some(due), stamp_ns);
-        if let Some(told) = long_wait(due.saturating_duration_since(now)) {
-            tracing::warn!("{told}");
+        if let Some(warning) = long_wait(due.saturating_duration_since(now)) {
+            tracing::warn!("{warning}");
         }
         self.wait_until(due, record, meanwhile);
     }
@@ -79,7 +79,7 @@ impl Pace {
     fn wait_until(&mut self, due: Instant, record: &mut StatusFile, mut meanwhile: impl FnMut()) {
         while !self.stop.requested() {
             let turn = self.pause.turn();
-            tell(record, turn);
+            record_pausing(record, turn);
             let left = due.saturating_duration_since(Instant::now());
             let pause = match turn {
                 Turn::Go if left.is_zero() => return,
@@ -106,7 +106,7 @@ fn long_wait(wait: Duration) -> Option<String> {
 }
 
 /// Records whether the source is paused, if that has changed.
-fn tell(record: &mut StatusFile, turn: Turn) {
+fn record_pausing(record: &mut StatusFile, turn: Turn) {
     let pausing = if turn == Turn::Go { Pausing::Goes } else { Pausing::Stands };
     if ![Pausing::Cannot, pausing].contains(&record.status.pausing()) {
         record.status.set_pausing(pausing);

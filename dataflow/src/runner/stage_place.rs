@@ -206,9 +206,9 @@ impl<T: Transport> StagePlace<T> {
             return Err(self.unfinished(left, error));
         }
         if let (true, Some(handover)) = (left, &self.handover) {
-            let told = handover.leave(self.input_port.position());
+            let result = handover.leave(self.input_port.position());
             self.output_port.await_finish();
-            return told.map_err(|error| RunError::Failed { frame, error: error.into() });
+            return result.map_err(|error| RunError::Failed { frame, error: error.into() });
         }
         self.record.status.had_enough = u64::from(self.stop.requested() && !self.input_port.ended());
         self.keep_inputs();

@@ -89,9 +89,9 @@ impl Motion {
     }
 
     /// Adds a known displacement in metres and a known change of velocity in metres per second.
-    pub fn shift(&mut self, way: &Vector3<f64>, velocity: &Vector3<f64>) {
+    pub fn shift(&mut self, displacement: &Vector3<f64>, velocity: &Vector3<f64>) {
         let mut place = self.state.fixed_rows_mut::<3>(0);
-        place += way;
+        place += displacement;
         let mut speed = self.state.fixed_rows_mut::<3>(3);
         speed += velocity;
     }

@@ -188,13 +188,13 @@ fn axis_label(columns: &[String]) -> String {
 }
 
 fn name(plot: &Plot, row: &Row, column: &str) -> String {
-    let told = plot.lines.iter().filter_map(|key| match row.get(key)? {
+    let labels = plot.lines.iter().filter_map(|key| match row.get(key)? {
         Figure::Text(text) => Some(text.clone()),
         Figure::Number(number) => Some(format!("{key} {number}")),
     });
     let is_reported = plot.y.len() > 1 || plot.lines.is_empty() || is_true(column);
     let column = is_reported.then(|| quantity(column).0);
-    column.into_iter().chain(told).collect::<Vec<_>>().join(", ")
+    column.into_iter().chain(labels).collect::<Vec<_>>().join(", ")
 }
 
 /// Reads a CSV file as the sinks write it.
@@ -233,11 +233,11 @@ fn svg(title: &str, plot: &Plot, lines: &[Line]) -> Result<String, fmt::Error> {
         frame(&mut text, plot, &x, &y)?;
         let columns = legend_columns(lines);
         let with_bars = lines.iter().filter(|line| line.bars().next().is_some()).count();
-        let (mut told, mut aside) = (0, -0.5 * ASIDE * with_bars.saturating_sub(1) as f64);
+        let (mut entries, mut aside) = (0, -0.5 * ASIDE * with_bars.saturating_sub(1) as f64);
         for (index, line) in lines.iter().enumerate() {
-            let (column, row) = ((told % columns) as f64, (told / columns) as f64);
+            let (column, row) = ((entries % columns) as f64, (entries / columns) as f64);
             let mark = [LEFT + 10.0 + column * legend_width(lines), LEGEND + LEGEND_STEP * row];
-            told += usize::from(!line.name.is_empty());
+            entries += usize::from(!line.name.is_empty());
             // Bars at the same position would hide each other.
             let has_bars = line.bars().next().is_some();
             draw_line(&mut text, line, index, mark, [&x, &y], if has_bars { aside } else { 0.0 })?;
@@ -261,8 +261,8 @@ fn legend_columns(lines: &[Line]) -> usize {
 
 /// Returns width and height of a drawing with room for its legend below the axes.
 fn paper_size(lines: &[Line]) -> [f64; 2] {
-    let told = lines.iter().filter(|line| !line.name.is_empty()).count();
-    let rows = told.div_ceil(legend_columns(lines)) as f64;
+    let entries = lines.iter().filter(|line| !line.name.is_empty()).count();
+    let rows = entries.div_ceil(legend_columns(lines)) as f64;
     [WIDTH.max(LEFT + 10.0 + legend_width(lines)), LEGEND + LEGEND_STEP * rows]
 }
 

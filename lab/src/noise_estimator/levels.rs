@@ -81,8 +81,8 @@ fn refined(gaps: &[Gap], step: f64) -> Option<f64> {
         fraction += (ratio - whole).abs();
         count += 1;
     }
-    let told = count >= FEWEST && fraction < LARGEST_FRACTION * count as f64;
-    told.then(|| sum / steps)
+    let is_known = count >= FEWEST && fraction < LARGEST_FRACTION * count as f64;
+    is_known.then(|| sum / steps)
 }
 
 #[cfg(test)]

@@ -242,15 +242,16 @@ impl MatchedFrame {
 
     /// Returns the missed objects and the wrong answers as a JSON object.
     pub fn details(&self, header: &Header) -> serde_json::Value {
-        let tell = |object: &Object| {
+        let describe = |object: &Object| {
             json!({
                 "kind": object.shape().name(), "center": object.center, "radius": object.radius, "axis": object.axis,
                 "half_angle_deg": object.half_angle.to_degrees(), "length": object.length, "rows": object.rows,
             })
         };
-        let missed = |truth: &TrueObject| json!({"name": truth.name, "hidden": truth.hidden, "is": tell(&truth.body)});
-        let wrong = |(object, fault): &(Object, Fault)| json!({"why": fault.name(), "is": tell(object)});
-        let neither = |(object, what): &(Object, String)| json!({"on": what, "is": tell(object)});
+        let missed =
+            |truth: &TrueObject| json!({"name": truth.name, "hidden": truth.hidden, "is": describe(&truth.body)});
+        let wrong = |(object, fault): &(Object, Fault)| json!({"why": fault.name(), "is": describe(object)});
+        let neither = |(object, what): &(Object, String)| json!({"on": what, "is": describe(object)});
         json!({
             "sequence": header.sequence,
             "scene": header.source.as_str(),

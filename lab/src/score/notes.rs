@@ -38,7 +38,7 @@ impl Notes {
             let name = &truth.name;
             let Some(answer) = answer else {
                 if truth.required {
-                    self.text += &format!("  missed    {name}: {}\n", told(&truth.body));
+                    self.text += &format!("  missed    {name}: {}\n", describe(&truth.body));
                 }
                 continue;
             };
@@ -54,7 +54,7 @@ impl Notes {
             self.text += &wrong(about, object, *worst, not_wanted(object));
         }
         for (object, what) in &frame.neither {
-            self.text += &format!("  neither   {}; on what was not measured: {what}\n", told(object));
+            self.text += &format!("  neither   {}; on what was not measured: {what}\n", describe(object));
         }
     }
 
@@ -95,28 +95,28 @@ fn differences(truth: &TrueObject, answer: &Object) -> String {
 }
 
 /// Describes kind, position and radius of an object.
-fn told(object: &Object) -> String {
+fn describe(object: &Object) -> String {
     let Object { center: [x, y, z], radius, .. } = object;
     format!("{} at ({x:.3}, {y:.3}, {z:.3}) m, radius {:.1} mm", object.shape().name(), 1e3 * radius)
 }
 
 /// Describes a wrong answer: the true object that it is wrong about, if there is one, and the unwanted thing that it is on.
 fn wrong(about: Option<&TrueObject>, answer: &Object, worst: Fault, not_wanted: Option<&str>) -> String {
-    let told = told(answer) + &not_wanted.map_or_else(String::new, |what| format!(", on {what}"));
+    let answer_text = describe(answer) + &not_wanted.map_or_else(String::new, |what| format!(", on {what}"));
     match about.filter(|_| worst != Fault::NothingThere) {
         Some(truth) => {
             let (name, differences) = (&truth.name, differences(truth, answer));
-            format!("  off       {told}; {} is wrong about {name}: {differences}\n", worst.name())
+            format!("  off       {answer_text}; {} is wrong about {name}: {differences}\n", worst.name())
         }
-        None => format!("  unlisted  {told}\n"),
+        None => format!("  unlisted  {answer_text}\n"),
     }
 }
 
 fn sums(score: &Score, unjudged: u64) -> String {
     let row = summary::row(score);
     let number = |column| row.number_of(column).unwrap_or(0.0);
-    let told = |number: Option<String>| number.unwrap_or_else(|| "-".to_owned());
-    let median = |column| told(row.number_of(column).map(|number| format!("{number:.1}")));
+    let or_dash = |number: Option<String>| number.unwrap_or_else(|| "-".to_owned());
+    let median = |column| or_dash(row.number_of(column).map(|number| format!("{number:.1}")));
     let faults = score.samples.iter().filter_map(|sample| sample.fault);
     let unlisted = faults.filter(|fault| *fault == Fault::NothingThere).count() as f64;
     let (frames, off) = (number("frames"), number("wrong") - unlisted);
@@ -133,7 +133,7 @@ fn sums(score: &Score, unjudged: u64) -> String {
         per_frame(unlisted),
         number("neither"),
         median("radius_error_mm"),
-        told(row.number_of("radius_bias_mm").map(|bias| format!("{bias:+.1}"))),
+        or_dash(row.number_of("radius_bias_mm").map(|bias| format!("{bias:+.1}"))),
         median("position_error_mm"),
         median("axis_error_deg")
     )

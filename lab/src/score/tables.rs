@@ -124,14 +124,14 @@ fn count_found(samples: &[&Sample]) -> usize {
 fn counts(samples: &[&Sample], with_wrong: bool) -> [String; 6] {
     let (wrong, found) = (count_wrong(samples), count_found(samples));
     let truth = samples.len() - wrong;
-    let told = |text: String| if with_wrong { text } else { String::new() };
+    let if_wanted = |text: String| if with_wrong { text } else { String::new() };
     [
         truth.to_string(),
         found.to_string(),
-        told(wrong.to_string()),
+        if_wanted(wrong.to_string()),
         share(found, truth),
-        told(share(found, found + wrong)),
-        told(share(2 * found, truth + found + wrong)),
+        if_wanted(share(found, found + wrong)),
+        if_wanted(share(2 * found, truth + found + wrong)),
     ]
 }
 

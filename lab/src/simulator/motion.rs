@@ -198,8 +198,8 @@ fn bounce(height: f64, upwards: f64, gravity: f64, restitution: f64, time_s: f64
 }
 
 /// Folds a distance along a line into [0, width], as if reflected at both ends.
-fn to_and_fro(way: f64, width: f64) -> f64 {
-    let turn = way.rem_euclid(2.0 * width);
+fn to_and_fro(distance: f64, width: f64) -> f64 {
+    let turn = distance.rem_euclid(2.0 * width);
     turn.min(2.0 * width - turn)
 }
 
@@ -254,8 +254,8 @@ impl Path {
         let span = to.t_s - from.t_s;
         let s = (time_s - from.t_s) / span;
         let (start, end) = (self.velocity_at_point(previous) * span, self.velocity_at_point(previous + 1) * span);
-        let way = to.offset - from.offset;
-        let (square, cube) = (way * 3.0 - start * 2.0 - end, start + end - way * 2.0);
+        let step = to.offset - from.offset;
+        let (square, cube) = (step * 3.0 - start * 2.0 - end, start + end - step * 2.0);
         let place = from.offset + start * s + square * (s * s) + cube * (s * s * s);
         [place, (start + square * (2.0 * s) + cube * (3.0 * s * s)) / span]
     }

@@ -135,11 +135,11 @@ fn main() -> Result<()> {
         }
         sleep(PERIOD);
     };
-    let heard = counts.map(|count| count.load(Ordering::Relaxed));
-    println!("sent {sent} images; heard {heard:?} lists of detections and markers that are not empty");
+    let received = counts.map(|count| count.load(Ordering::Relaxed));
+    println!("sent {sent} images; heard {received:?} lists of detections and markers that are not empty");
     println!("nodes {nodes:?}\ntopics {topics:?}");
     ensure!(status.success(), "the run ended with {status}");
-    ensure!(heard.iter().all(|heard| *heard > FRAMES / 2), "fewer lists came back than half of the images");
+    ensure!(received.iter().all(|received| *received > FRAMES / 2), "fewer lists came back than half of the images");
     for name in ["conicflow_source", "conicflow_ros"] {
         ensure!(nodes.iter().any(|(node, _)| node == name), "the robot does not see `{name}`");
     }

@@ -32,7 +32,7 @@ impl Reader<'_> {
     /// Reads an input in its short or its long form; `pairing` and `delivery` determine the defaults.
     pub(super) fn input(&mut self, value: &Value, pairing: Pairing, delivery: Delivery) -> Option<Input> {
         let place = value.place.clone();
-        let said = match &value.content {
+        let declared = match &value.content {
             Content::String(topic) => DeclaredInput { topic: topic.clone(), ..DeclaredInput::default() },
             Content::Table(table) => self.long_input(table.clone(), &place)?,
             _ => {
@@ -41,15 +41,15 @@ impl Reader<'_> {
                 return None;
             }
         };
-        let delivery = said.delivery.unwrap_or(delivery);
+        let delivery = declared.delivery.unwrap_or(delivery);
         let default_queue = match (delivery, pairing) {
             (Delivery::Lossless, _) => QUEUE_LOSSLESS,
             (Delivery::Latest, Pairing::SameFrame) => QUEUE_SAME_FRAME,
             (Delivery::Latest, Pairing::Latest) => QUEUE_LATEST,
         };
         // At least two, so that the end of the stream does not displace the last frame.
-        let queue = said.queue.unwrap_or(default_queue).max(2);
-        let DeclaredInput { topic, kind, compression, .. } = said;
+        let queue = declared.queue.unwrap_or(default_queue).max(2);
+        let DeclaredInput { topic, kind, compression, .. } = declared;
         Some(Input { topic, delivery, queue, kind, compression, place })
     }
 

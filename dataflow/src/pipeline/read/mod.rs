@@ -105,8 +105,8 @@ impl Reader<'_> {
     }
 
     fn boolean(&mut self, entry: &Entry) -> Option<bool> {
-        if let Content::Boolean(said) = entry.value.content {
-            return Some(said);
+        if let Content::Boolean(value) = entry.value.content {
+            return Some(value);
         }
         let what = format!("`{}` wants true or false, this is {}", entry.key, entry.value.type_name());
         self.fault(&entry.value.place, what, format!("for example {} = true", entry.key));

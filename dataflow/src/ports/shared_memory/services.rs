@@ -171,7 +171,7 @@ impl SharedMemory {
             ) => PortError::Incompatible {
                 topic: topic.name.clone(),
                 own: format!("{item}, behind a header `{HEADER_TYPE_NAME}`"),
-                said: String::new(),
+                declared: String::new(),
                 hint: OTHER_BUILD.to_owned(),
             },
             other => self.fault(format!("topic `{}` cannot be opened", topic.name), other),
