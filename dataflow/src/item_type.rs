@@ -261,7 +261,7 @@ impl<'a> AnyMessage<'a> {
         Some(Message { header: self.header, items: self.items()? })
     }
 
-    /// Calls `tell` with the label under which each item is counted.
+    /// Calls `visit` with the label under which each item is counted.
     pub(crate) fn each_label(&self, mut visit: impl FnMut(&'static str)) {
         if let Form::Known(_, labels, ..) = &self.item.form
             && self.item.is_counted
