@@ -153,7 +153,7 @@ fn faults_of_the_machines_own_certificate_are_reported_before_the_run_and_do_not
     assert!(is_reported(&warned.stdout, "warning"), "{}", warned.stdout);
     let found = robot.conicflow(&["doctor", "--machine", "robot"]).expect_code(1);
     assert!(is_reported(&found.stdout, "problem"), "{}", found.stdout);
-    // The clock may be set right while the machine runs.
+    // The run starts although the certificate has expired, because the clock of the machine may be corrected while it runs.
     let mut run = start(&robot, "robot");
     run.wait_until("it works", || robot.top()["stages"][0]["messages"].as_u64() > Some(10));
     let ended = run.end();

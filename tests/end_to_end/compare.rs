@@ -168,7 +168,7 @@ fn a_comparison_that_is_interrupted_early_reports_that_there_is_nothing_to_compa
     let playground = Playground::with_pipeline(&simulated());
     let paced = ["--set", "source.rate_hz=20", "--set", "source.frames=100000"];
     let mut compare = playground.start(&[&["compare", "--b", "extractor.scan=rows"][..], &paced].concat());
-    // The program itself, and the four stages of its first run.
+    // At this time five processes run: `conicflow compare` and the four stages of its first run.
     compare.wait_until("the first variant runs", || playground.processes().len() >= 5);
     signal(compare.id(), Signal::INT);
     let ended = compare.wait().expect_code(1);

@@ -103,9 +103,9 @@ impl Tracer {
         }
     }
 
-    /// Continues a stopped thread; kills its process if this is the call to kill it at.
+    /// Continues a stopped thread. If the thread is about to make the call of index `point`, its process is killed.
     fn go_on(&mut self, thread: i32, status: i32) {
-        // Signals that come from the tracing are not passed on.
+        // Stops that `ptrace` causes are no signals of the process, so they are not passed on.
         let (mut passed_on, event) = (libc::WSTOPSIG(status), status >> 16);
         if !self.processes.contains_key(&thread) {
             self.begin(thread);

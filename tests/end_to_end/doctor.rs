@@ -34,7 +34,7 @@ fn tracking() -> Playground {
     Playground::outside_shared_memory().and_pipeline(TRACKING)
 }
 
-/// A run that delivers.
+/// Starts a run, and waits until it delivers results.
 fn working(memory: &OwnSharedMemory, playground: &Playground) -> Started {
     let mut run = memory.start(playground, &["run", "--set", "source.rate_hz=50"]);
     wait_for_lines(&mut run, playground);
@@ -74,7 +74,8 @@ fn remains_that_no_run_would_find_are_removed_and_files_of_live_runs_are_not() {
     kill_all(working(&memory, &dead));
     let left = memory.files();
     let mut run = working(&memory, &living);
-    // Removed only now: another folder that is created later could get its number, and so its files.
+    // The folder is removed after the second run has started: a folder that is created later could get the same inode number, and
+    // with it the same names of files.
     fs::remove_dir_all(dead.runtime()).unwrap();
     memory.age();
     File::create(memory.folder().join("iox2_of_another_program.data")).unwrap();
@@ -146,7 +147,7 @@ fn a_run_that_would_need_more_open_files_than_it_may_have_does_not_begin() {
     let ended = after(&playground, "ulimit -n 40", &["run", "--frames", "3"]).expect_code(2);
     assert!(ended.stderr.starts_with("error: a process may have 40 files open, one of"), "{}", ended.stderr);
     ended.expect_texts(&["\n  hint: `ulimit -n "]);
-    // With so few open files it cannot even open shared memory.
+    // With so few open files the program cannot even open shared memory.
     let ended = after(&playground, "ulimit -n 10", &["run", "--frames", "3"]).expect_code(2);
     assert!(ended.stderr.starts_with("error: a process may have 10 files open, one of"), "{}", ended.stderr);
     let found = after(&playground, "ulimit -n 40", &["doctor"]).expect_code(1);
@@ -276,13 +277,14 @@ fn a_stage_that_finds_shared_memory_full_is_named_and_comes_back_when_there_is_r
     let playground = tracking();
     let mut run = working(&memory, &playground);
     let filler = memory.folder().join("filler");
-    // It may find too little room at the start, or lose it to the other runs while it creates its ports.
+    // The source may find too little room when it starts, or other processes may take the room while the source creates its
+    // ports.
     let reports = ["shared memory has ", " was killed by SIGBUS: shared memory is full"];
     let mut delivered = 0;
     wait_until("the cause is named", || {
         let mut file = File::options().append(true).create(true).open(&filler).unwrap();
         assert_eq!(std::io::copy(&mut std::io::repeat(0), &mut file).unwrap_err().kind(), ErrorKind::StorageFull);
-        // The room that a killed source leaves is free for the next run if that is faster than this.
+        // A killed source leaves room, and its successor can use that room if it starts before the filler takes it.
         let lines = playground.lines("tracks.jsonl").len();
         if let Some(source) = stages_of(run.id()).get("source").filter(|_| lines > delivered) {
             delivered = lines + 3;

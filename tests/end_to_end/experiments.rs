@@ -266,7 +266,7 @@ fn results_that_cannot_be_written_are_reported_before_anything_is_measured() {
     assert!(!ended.stderr.contains("run 1 of"), "{}", ended.stderr);
 }
 
-/// A restart of the evaluation would not help.
+/// The evaluation does not restart, because the truth would be missing again.
 #[test]
 fn a_run_ends_at_the_first_frame_without_a_truth() {
     let playground = playground("recording", &[]);
@@ -276,7 +276,7 @@ fn a_run_ends_at_the_first_frame_without_a_truth() {
     assert_eq!(ended.stage("evaluation").starts, 1, "{}", ended.stderr);
 }
 
-/// The measurements up to then are kept.
+/// An interrupted experiment keeps the measurements of the runs that have finished.
 #[test]
 fn an_experiment_that_is_ended_from_outside_shows_the_runs_before() {
     let edits = [("[1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0]", "[2.0, 2.5]"), ("from_s = 1.0 ", "from_s = 0.0 ")];

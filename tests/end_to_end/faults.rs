@@ -71,7 +71,7 @@ fn a_panic_is_reported_with_its_frame_and_the_next_frame_is_processed() {
     assert!(log.contains("stage `faulty` ended with exit code 1, and is started anew"), "{log}");
 }
 
-/// A frame that was left out does not come again when the stage dies on a later one.
+/// A frame that was left out is not delivered again when the stage dies on a later frame.
 #[test]
 fn each_of_two_successive_frames_that_kill_a_stage_is_left_out_once() {
     let playground = with_faulty_stage("panic_at = 20\npanics_more = 1");
@@ -99,7 +99,7 @@ fn a_stage_that_is_stopped_is_reported_and_goes_on() {
         let state = playground.top();
         let stages = state["stages"].as_array().unwrap();
         let silence = |name: &str| stages.iter().find(|stage| stage["stage"] == name).unwrap()["silent_s"].as_f64();
-        // A stage that waits for another one still has heartbeats.
+        // The assembler, which waits for another stage, still sends heartbeats.
         silence("tracker") > Some(3.0) && silence("assembler") < Some(2.0)
     });
     run.wait_for_text("stage `tracker` hangs after ");
@@ -320,7 +320,7 @@ fn a_program_that_takes_long_to_start_is_named_and_loses_nothing() {
     playground.expect_each_frame(&ended);
 }
 
-/// `uv run` starts programs in this way.
+/// `uv run` also starts the program as a child process of its own, so the launcher is not its parent.
 #[test]
 fn a_program_started_by_another_than_the_launcher_is_refused_with_a_hint() {
     let playground = with_program(&in_a_shell("", "; exit $?"), "");

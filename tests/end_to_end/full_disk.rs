@@ -130,7 +130,7 @@ fn detect_in_small_files(playground: &Playground, blocks: u32, arguments: &[&str
     Ended { code: output.status.code(), stdout: text(&output.stdout), stderr: text(&output.stderr) }
 }
 
-/// Asserts that it ended with exit code 1 and one sentence that gives the reason, with a hint.
+/// Asserts that a program ended with exit code 1 and printed one sentence that gives the reason, with a hint.
 fn expect_reported_once(ended: Ended, why: &str, hint: &str) {
     let ended = ended.expect_code(1);
     let reports = ended.stderr.lines().filter(|line| line.contains(why));
@@ -147,7 +147,7 @@ fn detect_reports_a_full_disk_and_leaves_no_incomplete_file() {
     let full = playground.conicflow(&["detect", "frames", "--camera", CAMERA, "--out", "/dev/full"]);
     expect_reported_once(full, "error: cannot write to `/dev/full`: No space left on device", free);
 
-    // Two lines and a part of the third.
+    // The limit leaves room for two lines and a part of the third.
     let ends: Vec<_> = found.match_indices('\n').map(|(at, _)| at + 1).collect();
     let blocks = (ends[1] as u32 + 1).div_ceil(512);
     assert!(ends[2] > 512 * blocks as usize, "the third line goes beyond");

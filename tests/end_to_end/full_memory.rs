@@ -9,7 +9,7 @@ use rustix::fs::{FallocateFlags, fallocate, statvfs};
 use rustix::process::Signal;
 use std::fs::File;
 
-/// Less than an image, and enough for lists.
+/// Number of free bytes that the test leaves in shared memory: too few for an image, and enough for lists.
 const SPARE: u64 = 512 * 1024;
 
 /// Fills shared memory, except [`SPARE`] bytes.
@@ -27,7 +27,7 @@ fn a_run_goes_on_when_other_programs_fill_shared_memory() {
     let mut run = memory.start(&playground, &["run"]);
     run.wait_until("tracks come", || playground.count("tracks.jsonl") > 5);
     fill(&memory);
-    // The queue fills only now, with more images under way at once than before.
+    // The stopped extractor lets the queue fill up while memory is full: more images are under way at once than before.
     let stages = stages_of(run.id());
     signal(stages["extractor"], Signal::STOP);
     let before = messages(&playground, "source");
@@ -40,7 +40,7 @@ fn a_run_goes_on_when_other_programs_fill_shared_memory() {
     assert_eq!(memory.files(), ["of_another_program"]);
 }
 
-/// The kernel limits the memory of this process alone.
+/// Only the process of the stage has a memory limit, which the shell sets with `ulimit`.
 #[test]
 fn a_stage_that_takes_more_memory_than_it_may_have_is_named_and_the_others_deliver_all() {
     const FRAMES: u64 = 60;
@@ -55,7 +55,7 @@ restart = "never"
     let ended = playground.conicflow(&["run"]).expect_code(1);
     let died: Vec<_> = ended.stderr.lines().filter(|line| line.contains("ERROR stage `")).collect();
     assert!(died.len() == 1 && died[0].contains("stage `eater` "), "{}", ended.stderr);
-    // How a shell reports this depends on the shell.
+    // Depending on the shell, the process is killed by a signal or ends with an exit code.
     let says_of_what = ["was killed by signal ", "ended with exit code "].iter().any(|what| died[0].contains(what));
     assert!(says_of_what && died[0].contains(", and is not started anew: its `restart` is "), "{}", ended.stderr);
     ended.expect_texts(&["not complete: a stage was lost, see above"]);

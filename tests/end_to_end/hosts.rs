@@ -18,7 +18,7 @@ const BASE: &str = "10.77.0.2";
 const OUTAGES: [Duration; 2] = [Duration::from_secs(3), Duration::from_secs(13)];
 /// Maximum time until a link is up again.
 const SOON: Duration = Duration::from_secs(3);
-/// A message that is older waited in a queue, or for a stage on a busy host.
+/// Latency in milliseconds above which a message is stale: it waited in a queue, or for a stage on a busy host.
 const STALE_MS: f64 = 2500.0;
 /// At most this many stale messages may arrive, those of two seconds; a backlog has more.
 pub const MOST_STALE: usize = 40;

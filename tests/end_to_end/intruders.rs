@@ -201,8 +201,8 @@ fn without_a_key_forged_messages_displace_none_of_a_lossless_edge() {
     const TIME: std::ops::Range<usize> = 65..73;
     assert_eq!([&beats, &beats_of_base].map(|bytes| bytes[TIME.start - 1]), [253; 2], "a number of eight bytes");
     let before = newest(&base);
-    // A message that is sent again is believed if nothing contradicts it, which may happen on a busy machine if no other message
-    // arrives in between. So each is sent once.
+    // A bridge accepts a message that is sent again if no other message contradicts it. On a busy machine it may happen that no
+    // other message arrives in between, so each message is sent once.
     const FRAMES: u64 = 15;
     for round in 0..6 {
         let near = number + newest(&base) - before;

@@ -15,9 +15,9 @@ fn end(run: Started) -> (Ended, u64) {
     (ended, made)
 }
 
-/// Kills a stage after the results have reached a position, and waits until another process has taken its place. Returns the
-/// position of the results when that process has worked: if a neighbour died before, messages that only the two had would be
-/// lost.
+/// Kills a stage after the results have reached a position, and waits until another process has replaced it. Returns the position
+/// that the results reach only after the new process has worked. A test must not kill a neighbouring stage before that: messages
+/// that only these two stages held would be lost.
 fn kill(run: &mut Started, stage: &str, newest: impl Fn() -> u64, after: u64) -> u64 {
     run.wait_until("it is as far", || newest() >= after);
     let (launcher, before) = (run.id(), stages_of(run.id())[stage]);
@@ -27,7 +27,8 @@ fn kill(run: &mut Started, stage: &str, newest: impl Fn() -> u64, after: u64) ->
     at + UNDER_WAY
 }
 
-/// Kills stages one after another, each when the successor of the one before has worked, and waits for the last successor, too.
+/// Kills the stages one after another. Each kill waits until the replacement of the stage killed before has worked. Waits for the
+/// last replacement, too.
 fn kill_in_turn(run: &mut Started, stages: &[&str], newest: impl Fn() -> u64) {
     let after = stages.iter().fold(40, |after, stage| kill(run, stage, &newest, after));
     run.wait_until("all have worked", || newest() >= after);
@@ -42,7 +43,7 @@ fn expect_nothing_lost(ended: &Ended, made: u64) {
 
 #[test]
 fn a_stage_that_is_killed_again_and_again_loses_nothing() {
-    // An assembler that remembers earlier frames would lose them.
+    // An assembler that uses the contours of earlier frames would lose them when it is killed.
     let forgetful =
         TRACKING.replacen("\"object_assembler\"", "\"object_assembler\"\npooled = { contour_memory = 0 }", 1);
     let (playground, mut run) = at_work(&forgetful, 100);
@@ -71,7 +72,7 @@ fn a_sink_and_stages_with_a_state_get_each_frame_once() {
 fn messages_for_a_stopped_stage_are_kept_beyond_its_death_and_the_end_of_the_stream() {
     let (playground, mut run) = at_work(TRACKING, 40);
     run.wait_until("it delivers", || playground.newest("tracks.jsonl") > 20);
-    // First with full queues before the stage, ...
+    // The first kill comes while the queues before the stage are full.
     let launcher = run.id();
     let before = stages_of(launcher)["assembler"];
     signal(before, Signal::STOP);
@@ -80,7 +81,7 @@ fn messages_for_a_stopped_stage_are_kept_beyond_its_death_and_the_end_of_the_str
     run.wait_until("it is back", || stages_of(launcher).get("assembler").is_some_and(|process| *process != before));
     let after = playground.newest("tracks.jsonl") + UNDER_WAY;
     run.wait_until("it has worked", || playground.newest("tracks.jsonl") >= after);
-    // ... then with nothing to come but the messages that wait.
+    // The second kill comes after the source has been interrupted: only messages that wait in queues are left.
     let before = stages_of(launcher)["assembler"];
     signal(before, Signal::STOP);
     signal(launcher, Signal::INT);
@@ -124,7 +125,7 @@ fn side_inputs_are_repeated_with_their_frame() {
     kill_in_turn(&mut run, &["pairing", "assembler", "pairing", "extractor", "pairing"], newest);
     let (ended, made) = end(run);
     let mut pairs = playground.lines("pairs.txt");
-    // This sink writes a line before it spends its time, and may write the line again after a restart.
+    // This sink writes a line before its delay, so a restarted sink may write the same line again.
     pairs.dedup();
     let expected: Vec<_> = (0..made).map(|frame| format!("{frame} {frame} {frame}")).collect();
     assert_eq!(pairs, expected, "{}", ended.stderr);

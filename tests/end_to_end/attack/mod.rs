@@ -27,9 +27,10 @@ const ROUNDS: &str = "CONICFLOW_ATTACK_ROUNDS";
 const SEED: &str = "CONICFLOW_ATTACK_SEED";
 /// Maximum time of a round. A round that takes longer is stalled: it has few frames, and no process is stopped for long.
 const LONGEST: Duration = Duration::from_secs(120);
-/// A machine that was started again may have to be interrupted if the others have ended. This is done after this time.
+/// Time after the end of the first machine's run. If a run was started again and others still run after this time, they are
+/// interrupted, because they may wait for a machine that has ended.
 const ALONE: Duration = Duration::from_secs(10);
-/// These rounds take a minute on two busy cores.
+/// Number of rounds, which take a minute on two busy cores.
 const DEFAULT_ROUNDS: u64 = 16;
 /// The first seed differs from those of [`stress`](super::stress), so that other actions are drawn.
 const FIRST_SEED: u64 = 1000;
@@ -139,7 +140,7 @@ fn expect_no_standstill(begun: Instant, machines: &[Machine]) -> Result<(), Stri
 }
 
 /// Waits until all runs have ended. A run that waits for a machine whose launcher is dead, or that ended before it was started
-/// again, is interrupted. Returns whether one was.
+/// again, is interrupted. Returns whether a run was interrupted or a launcher was killed.
 fn finish(round: &Round, begun: Instant, machines: &mut [Machine]) -> Result<bool, String> {
     let was_cut = round.has(|blow| matches!(blow, Blow::KillLauncher(_)));
     let was_begun_again = round.has(|blow| matches!(blow, Blow::Again(..)));
