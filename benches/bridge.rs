@@ -1,9 +1,9 @@
-//! Age of a message that crosses to another machine, from when its writer sent it until its reader has it, beside that of the
-//! same bytes with Zenoh alone; also the bytes on the wire and the CPU cost.
+//! Measures the age of messages that cross to another machine, from the time at which the writer sends a message until the reader
+//! has it, and the age of the same bytes with Zenoh alone. Also measures the bytes on the wire and the CPU cost.
 //!
-//! `cargo bench --bench bridge`: two launchers on this host, joined over loopback, at 30 messages per second; then two
-//! sessions of one process. Ellipses and frames of 640x480 of one cluttered scene; milliseconds, megabytes and per cent of a
-//! core in each of the two bridges.
+//! `cargo bench --bench bridge` runs two launchers on this host, joined over loopback, at 30 messages per second, and then two
+//! Zenoh sessions of one process. The messages are ellipses and frames of 640x480 of one cluttered scene. Ages are in
+//! milliseconds, rates in megabytes per second, and the CPU cost is in per cent of a core for each of the two bridges.
 
 mod ages;
 
@@ -28,13 +28,13 @@ use zenoh::qos::CongestionControl;
 
 const RATE_HZ: f64 = 30.0;
 const MESSAGES: usize = 450;
-/// When the cost of a bridge is measured, and for how long.
+/// Time from the start of a machine until the measurement of the cost of its bridge, which then takes [`OBSERVED`].
 const SETTLED: Duration = Duration::from_secs(4);
 const OBSERVED: Duration = Duration::from_secs(8);
 const NODES: &[Node] =
     &[Node::source::<Frames>(), Node::source::<Lists>(), Node::stage::<Ages<u16>>(), Node::stage::<Ages<Ellipse>>()];
 const REGISTRY: Registry = Registry { nodes: NODES, network: Some(NETWORK) };
-/// Name, source, sink, compression.
+/// Name, source, sink and compression of each case.
 const CASES: [(&str, &str, &str, Compression); 6] = [
     ("ellipses, none", "lists", "list_ages", Compression::None),
     ("ellipses, lz4", "lists", "list_ages", Compression::Lz4),
@@ -110,7 +110,7 @@ impl Source for Frames {
     }
 }
 
-/// Sends the ellipses of that frame repeatedly.
+/// Sends the ellipses of the same frame repeatedly.
 struct Lists(Header, Vec<Ellipse>);
 
 impl Source for Lists {
@@ -136,12 +136,12 @@ impl Source for Lists {
     }
 }
 
-/// A header with camera, scale, noise and source of `made`, and the rest of `own`.
+/// A header with the camera, depth scale, noise and source of `made`, and the other fields of `own`.
 fn with_own_sequence(made: &Header, own: &Header) -> Header {
     Header { camera: made.camera, depth_scale: made.depth_scale, noise: made.noise, source: made.source, ..*own }
 }
 
-/// Ages of the messages between two launchers, and the cost of their bridges.
+/// Measures the ages of messages between two launchers, and the cost of their bridges.
 fn bridged(source: &str, sink: &str, how: Compression) -> Outcome<([f64; 2], [f64; 2])> {
     let folder = TempDir::new()?;
     let port = TcpListener::bind("127.0.0.1:0")?.local_addr()?.port();
@@ -199,7 +199,7 @@ fn session(listen: &str, connect: &str) -> Outcome<zenoh::Session> {
     Ok(zenoh::open(config).wait().map_err(|error| error.to_string())?)
 }
 
-/// Ages of the same bytes with a bare publisher and subscriber.
+/// Measures the ages of the same bytes with Zenoh alone, from a publisher to a subscriber.
 fn bare(wire: &[u8]) -> Outcome<[f64; 2]> {
     let port = TcpListener::bind("127.0.0.1:0")?.local_addr()?.port();
     let endpoint = format!("[\"tcp/127.0.0.1:{port}\"]");

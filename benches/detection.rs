@@ -1,8 +1,9 @@
-//! CPU time of the detector's parts against the number of pixels, on cluttered rendered scenes, beside the minimum for any
-//! detector (reading the frame, summing the moments of its rows) and the paper's method, which fits an ellipse at every point.
+//! Measures the CPU time of the parts of the detector for several image sizes, on cluttered rendered scenes. For comparison it
+//! measures the minimum for any detector (reading the frame, summing the moments of its rows) and the paper's method, which fits
+//! an ellipse at every point.
 //!
-//! `cargo bench --bench detection`; one thread, medians over scenes of medians over repetitions. The last column is the
-//! exponent p in `time ~ pixels^p`, fitted over all sizes: 1 is linear.
+//! `cargo bench --bench detection` uses one thread, and prints the medians over scenes of the medians over repetitions. The last
+//! column is the exponent p in `time ~ pixels^p`, fitted over all sizes: 1 is linear.
 //!
 //! `cargo bench --bench detection -- FOLDER...` uses recorded frames instead of scenes, with a column for each folder that
 //! `image_source` can read.
@@ -26,7 +27,7 @@ const GROUPS: [SceneGroup; 4] = [SceneGroup::Clutter, SceneGroup::Standing, Scen
 const SEEDS: [u64; 2] = [0, 4];
 const REPETITIONS: usize = 5;
 
-/// The work of a part on a frame; its result keeps the compiler from removing the work.
+/// The work of a part of the detector on a frame. The work has a result, so that the compiler cannot remove it.
 type Work<'a> = Box<dyn FnMut(&Frame) -> u64 + 'a>;
 
 struct Frame {
@@ -134,7 +135,7 @@ fn scenes((width, height): (u32, u32)) -> Result<Column, Box<dyn Error>> {
     Ok(Column { name: format!("{width}x{height}"), frames: (0..count).map(frame).collect() })
 }
 
-/// The frames of a folder.
+/// The recorded frames of a folder.
 fn recorded(folder: &str) -> Result<Column, Box<dyn Error>> {
     let config = image_source::Config { path: Some(folder.into()), ..Default::default() };
     let mut playback = Playback::open(&config, Path::new(""), 0, 0)?;
@@ -156,7 +157,7 @@ impl Frame {
     }
 }
 
-/// Times over the frames of a column, each the median of its repetitions.
+/// Median and 99th percentile of the times of a column's frames. The time of a frame is the median over its repetitions.
 struct Times {
     median: f64,
     percentile_99: f64,
@@ -166,7 +167,7 @@ impl Times {
     fn of(frames: &[Frame], work: &mut Work) -> Self {
         let of_frame = |frame: &Frame| {
             let mut times: Vec<f64> = (0..=REPETITIONS).map(|_| cpu_ms(|| work(black_box(frame)))).collect();
-            times.remove(0); // warms up
+            times.remove(0); // the first repetition only warms the caches
             quantile(&mut times, 0.5)
         };
         let mut times: Vec<f64> = frames.iter().map(of_frame).collect();
@@ -189,7 +190,7 @@ fn cpu_ms(work: impl FnOnce() -> u64) -> f64 {
     now() - start
 }
 
-/// Slope of a straight line fitted to the logarithms.
+/// The exponent p in `time ~ pixels^p`: the slope of a straight line that is fitted to the logarithms.
 fn exponent(times: &[Times]) -> f64 {
     let x: Vec<f64> = SIZES.iter().map(|(width, height)| (f64::from(*width) * f64::from(*height)).ln()).collect();
     let y: Vec<f64> = times.iter().map(|times| times.median.ln()).collect();

@@ -1,9 +1,9 @@
 //! Fits the weights of `detection/src/assemble/odds.rs` to candidates in simulated scenes, and prints how often candidates of
 //! each confidence are right: `cargo bench --bench odds`.
 //!
-//! Each sensor shows its own scenes, one after another, and its contours are learned as in a run. A candidate is right if it
-//! matches a true object by the criteria of an experiment's evaluation, whether that object had to be found or not. Takes six
-//! minutes on two cores.
+//! Each sensor has its own scenes. A detector processes them one after another, and learns the contours of the sensor as in a
+//! run. A candidate is right if it matches a true object by the criteria of an experiment's evaluation, whether the evaluation
+//! requires this object or not. The benchmark takes six minutes on two cores.
 
 use conicflow_detection::Detector;
 use conicflow_detection::assemble::odds::{TERMS, WEIGHTS};
@@ -15,7 +15,7 @@ use nalgebra::{SMatrix, SVector};
 use std::ops::Range;
 use std::path::Path;
 
-/// Name, first and last seed, and source parameters.
+/// Name, first and last seed, and source parameters of each sensor.
 const SENSORS: [(&str, [u64; 2], &str); 12] = [
     ("Kinect v1, 320x240", [500, 529], "width = 320\nheight = 240"),
     ("Kinect v1, 320x240, blobs of 9 px", [640, 659], "width = 320\nheight = 240\nnoise = { noise_window_px = 9 }"),
@@ -38,16 +38,16 @@ const SENSORS: [(&str, [u64; 2], &str); 12] = [
     ("time of flight", [560, 564], "noise = \"time_of_flight\""),
     ("time of flight, simulated", [565, 569], "sensor = \"time_of_flight\""),
 ];
-/// All groups but `flat_tins`: the others contain flat tins, too.
+/// Groups of the scenes: all but `flat_tins`, because the other groups contain flat tins, too.
 const GROUPS: &str = "\"standing\", \"tilted\", \"occluded\", \"tabletop\", \"lying\", \"composed\", \"clutter\", \"bowls\", \
                       \"empty\", \"furnished\", \"kitchen\", \"lived_in\", \"hall\"";
-/// Groups for further scenes, because much of what is seen in rooms is no object.
+/// Groups of additional scenes: rooms, because many surfaces in rooms belong to no object.
 const ROOMS: &str = "\"furnished\", \"clutter\", \"empty\", \"kitchen\"";
-/// Offset of the seeds of those scenes.
+/// Offset of the seeds of the additional scenes.
 const ROOM_SEEDS: u64 = 2000;
-/// Strength of the prior that keeps the weights finite: the standard deviation of each is 2.
+/// Strength of the prior that keeps the weights finite. With this number each weight has the standard deviation 2.
 const PRIOR: f64 = 0.25;
-/// Rounds of Newton's method; it settles in less than ten.
+/// Number of rounds of Newton's method, which converges in less than ten.
 const ROUNDS: usize = 30;
 /// Limits of the confidence classes in the table.
 const CLASSES: [f64; 8] = [0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 0.97, 1.0];
@@ -89,7 +89,7 @@ fn main() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The candidates of all sensors, several sensors at a time.
+/// Returns the candidates of all sensors. Several sensors run at the same time.
 fn look_at_all() -> anyhow::Result<Vec<(&'static str, Vec<Sample>)>> {
     let look_by = |(name, seeds, parameters): (&'static str, [u64; 2], &str)| {
         let mut samples = look(seeds, GROUPS, parameters)?;
@@ -105,7 +105,7 @@ fn look_at_all() -> anyhow::Result<Vec<(&'static str, Vec<Sample>)>> {
     })
 }
 
-/// The candidates in the scenes of some seeds.
+/// Returns the candidates in the scenes with seeds in this range.
 fn look(seeds: [u64; 2], groups: &str, parameters: &str) -> anyhow::Result<Vec<Sample>> {
     let parameters = format!("{parameters}\nscenes = {{ seeds = {seeds:?}, groups = [{groups}] }}");
     let parameters: SimulatorParameters = toml::from_str(&parameters)?;
@@ -131,7 +131,7 @@ fn look(seeds: [u64; 2], groups: &str, parameters: &str) -> anyhow::Result<Vec<S
     Ok(samples)
 }
 
-/// Fits some of the weights by logistic regression with Newton's method.
+/// Fits the weights in the range `fitted` by logistic regression with Newton's method, and keeps the other weights.
 fn fit(samples: &[Sample], fitted: &Range<usize>) -> SVector<f64, TERMS> {
     let only_fitted =
         |of: &SVector<f64, TERMS>| SVector::from_fn(|term, _| if fitted.contains(&term) { of[term] } else { 0.0 });

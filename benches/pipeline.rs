@@ -1,6 +1,6 @@
-//! A whole pipeline of five processes: how many small frames per second it processes without loss, what an onlooker costs it
-//! then, how long a 640x480 frame takes from source to sink beside the compute time of the stages, and the resources of each
-//! process.
+//! Measures a whole pipeline of five processes: the number of small frames per second that it processes without loss, the cost of
+//! an onlooker at this rate, the time of a 640x480 frame from source to sink, the compute time of the stages, and the resources
+//! of each process.
 //!
 //! `cargo bench --bench pipeline`
 
@@ -18,10 +18,10 @@ type Outcome<T> = Result<T, Box<dyn Error>>;
 const ROUNDS: usize = 3;
 const SMALL_FRAMES: usize = 3000;
 const LIVE_SECONDS: u64 = 10;
-/// Number and duration of the alternating turns with and without an onlooker.
+/// Number of turns with an onlooker, which is also the number of turns without one. They alternate, and each takes [`TURN`].
 const TURNS: usize = 9;
 const TURN: Duration = Duration::from_millis(1500);
-/// Number of bytes at the end of a file that contain a complete line.
+/// Number of bytes at the end of a file of tracks that contain at least one complete line.
 const LAST_LINES: u64 = 16 * 1024;
 const ONLOOKERS: [[&str; 3]; 4] =
     [["topic", "echo", "depth"], ["topic", "echo", "tracks"], ["topic", "hz", "depth"], ["topic", "bw", "depth"]];
@@ -81,8 +81,8 @@ fn lossless_rate(folder: &Path) -> Outcome<f64> {
     Ok(rate.ok_or_else(|| format!("no rate in: {summary}"))?.parse()?)
 }
 
-/// Prints what an onlooker costs a lossless run at full speed: CPU time of its stages per frame, alternately without and with an
-/// onlooker.
+/// Prints the cost of an onlooker for a lossless run at full speed: the CPU time of the stages per frame, alternately without and
+/// with an onlooker.
 fn onlookers(folder: &Path) -> Outcome<()> {
     println!(
         "\nlossless, 64x48, flat out; processor time of the five stages in us per frame, medians of {TURNS} turns"
@@ -122,7 +122,8 @@ fn onlookers(folder: &Path) -> Outcome<()> {
     Ok(())
 }
 
-/// CPU time of the stages per frame in us, frames per second, and the CPU load of the onlooker in per cent of a core.
+/// Measures, for one turn, the CPU time of the stages per frame in us, the frames per second, and the CPU load of the onlooker in
+/// per cent of a core.
 fn turn(folder: &Path, stages: &[u32], onlooker: Option<u32>) -> Outcome<[f64; 3]> {
     let time_of_all = || stages.iter().map(|stage| processor_ns(*stage)).sum::<Outcome<u64>>();
     let own_time = || onlooker.map_or(Ok(0), processor_ns);
@@ -218,7 +219,7 @@ fn process(id: &str) -> Outcome<(f64, usize)> {
     Ok((kb / 1e3, fs::read_dir(format!("/proc/{id}/task"))?.count()))
 }
 
-/// A child process that is ended when this is dropped.
+/// A child process that is interrupted when this value is dropped.
 struct Ended(Child);
 
 impl Ended {

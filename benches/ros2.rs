@@ -1,8 +1,9 @@
-//! Age of a ROS 2 depth image, from when a robot's node has written it until a stage has it, and until its objects are found,
-//! beside that of the same bytes at a bare Zenoh subscriber.
+//! Measures the age of ROS 2 depth images, from the time at which a node of a robot sends an image until a stage has it, and
+//! until its objects are found. For comparison it measures the age of the same bytes at a bare Zenoh subscriber.
 //!
-//! `cargo bench --bench ros2`: a router and the node in this process, at 30 images of 640x480 of one cluttered scene a second;
-//! milliseconds. All are clients of the router.
+//! `cargo bench --bench ros2` runs a router and the node of the robot in this process, with 30 images per second. The images have
+//! 640x480 pixels and show one cluttered scene. The node, the subscriber and the pipeline are clients of the router. Ages are in
+//! milliseconds.
 
 mod ages;
 
@@ -31,7 +32,7 @@ const NODES: &[Node] = &[
 const REGISTRY: Registry = Registry { nodes: NODES, network: None };
 const IMAGE_KEY: &str = "0/camera/depth/image_rect_raw/sensor_msgs::msg::dds_::Image_/RIHS01_0";
 const INFO_KEY: &str = "0/camera/depth/camera_info/sensor_msgs::msg::dds_::CameraInfo_/RIHS01_0";
-/// The stages that read the images.
+/// A stage that reads the images.
 const TO_A_STAGE: &str = "[stage.ages]\nnode = \"frame_ages\"\ninput = \"depth\"\n";
 const TO_OBJECTS: &str = "[stage.extractor]\nnode = \"row_ellipse_extractor\"\ninput = \"depth\"\noutput = \"ellipses\"\n\
                           [stage.assembler]\nnode = \"object_assembler\"\ninput = \"ellipses\"\noutput = \"objects\"\n\
@@ -90,7 +91,8 @@ impl Robot {
         write_units(Stamped { stamp_ns, frame_id: "camera" }, size, &self.pixels, Vec::new())
     }
 
-    /// Sends images with their stamps, and their CameraInfo, while `goes_on` returns true; it gets the number of images so far.
+    /// Sends images with their stamps, and their CameraInfo, while `goes_on` returns true. Its argument is the number of images
+    /// that were sent so far.
     fn send(&self, mut goes_on: impl FnMut(usize) -> bool) -> Outcome<()> {
         let zenoh = |error: zenoh::Error| error.to_string();
         let mut sent = 0;
@@ -105,7 +107,7 @@ impl Robot {
     }
 }
 
-/// Ages of the images at a bare subscriber.
+/// Measures the ages of the images at a bare Zenoh subscriber.
 fn bare(robot: &Robot, endpoint: &str) -> Outcome<[f64; 2]> {
     let there = session("client", "connect", endpoint)?;
     let ages = Arc::new(Mutex::new(Vec::new()));
@@ -121,7 +123,7 @@ fn bare(robot: &Robot, endpoint: &str) -> Outcome<[f64; 2]> {
     percentiles(std::mem::take(&mut *lock(&ages)))
 }
 
-/// Ages of the images, or of their objects, at a stage of a pipeline.
+/// Measures the ages of the images, or of their objects, at the last stage of a pipeline.
 fn through(robot: &Robot, endpoint: &str, stages: &str) -> Outcome<[f64; 2]> {
     let folder = TempDir::new()?;
     let text = format!(

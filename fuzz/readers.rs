@@ -1,5 +1,5 @@
-//! Bytes that others wrote, read as a pipeline reads them: messages from other machines and files. None may do harm, whatever
-//! is in them. The fuzz targets call this, and so does the test that replays their corpora.
+//! Functions that read bytes of other programs (messages from other machines, and files) as a pipeline reads them. No bytes may
+//! cause a panic or other harm. The fuzz targets call these functions, and so does the test that replays their corpora.
 
 use anyhow::Result;
 use conicflow_bridge::{NETWORK, decode_message, encode_message};
@@ -19,10 +19,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
-/// One kind of bytes: its name, and what reads it; whether it was accepted.
+/// The name of a kind of bytes, and the function that reads such bytes and returns whether it accepts them.
 pub type Reader = (&'static str, fn(&[u8]) -> bool);
 
-/// All kinds of bytes, named as their corpora.
+/// The readers of all kinds of bytes. A kind has the name of its corpus.
 pub const READERS: [Reader; 13] = [
     ("wire", wire),
     ("pcd", pcd),
@@ -39,70 +39,72 @@ pub const READERS: [Reader; 13] = [
     ("pipeline", pipeline),
 ];
 
-/// A type of one's own, as a pipeline file describes it.
+/// An item type of a user, as a pipeline file describes it.
 pub fn grasps() -> ItemType {
     let fields = [("position", "f64[3]"), ("label", "text[12]"), ("width_m", "f32"), ("id", "u16"), ("tries", "i8[6]")];
     let fields = fields.map(|(name, kind)| (name.to_owned(), kind.to_owned()));
     ItemType::described("grasps", "acme.Grasp.v1", Layout::new(&fields).unwrap(), 16)
 }
 
-/// A message from another machine, as items of each type: what is accepted can be shown, and survives being sent on.
+/// Reads a message from another machine as items of each type. An accepted message can be written as JSON, and does not change
+/// when it is encoded and decoded again.
 pub fn wire(bytes: &[u8]) -> bool {
     let accepts = |item: &ItemType| {
         let Ok((place, header, items)) = decode_message(bytes, item) else { return false };
         let message = AnyMessage { header: &header, item, bytes: &items };
         message.write_json(None, &mut Vec::new()).unwrap();
         let again = encode_message(place, item, &header, &items, Compression::Lz4).unwrap();
-        // As text, in which what is not a number equals itself: a pose that the header does not say to be one may be anything.
+        // The messages are compared as text, in which NaN equals NaN: if the header does not have a pose, the bytes of the pose
+        // may have any values.
         assert_eq!(format!("{:?}", decode_message(&again, item).unwrap()), format!("{:?}", (place, header, items)));
         true
     };
     BUILT_IN.iter().chain([&grasps()]).any(accepts)
 }
 
-/// A point cloud, as the only frame of a recording.
+/// Reads a point cloud as the only frame of a recording.
 pub fn pcd(bytes: &[u8]) -> bool {
     is_fine(first_frame("cloud.pcd", bytes))
 }
 
-/// A depth image, as the only frame of a recording.
+/// Reads a PNG as the only frame of a recording.
 pub fn png(bytes: &[u8]) -> bool {
     is_fine(first_frame("depth.png", bytes))
 }
 
-/// The same as TIFF.
+/// Reads a TIFF file as the only frame of a recording.
 pub fn tiff(bytes: &[u8]) -> bool {
     is_fine(first_frame("depth.tiff", bytes))
 }
 
-/// The same as an array of NumPy.
+/// Reads an array of NumPy as the only frame of a recording.
 pub fn npy(bytes: &[u8]) -> bool {
     is_fine(first_frame("depth.npy", bytes))
 }
 
-/// A file that tells the camera, beside a frame.
+/// Reads a file with the camera parameters, which lies beside a frame.
 pub fn camera(bytes: &[u8]) -> bool {
     is_fine(played(&[("camera.json", bytes)], PosesConfig::None))
 }
 
-/// A list of frames, as in folders of TUM RGB-D.
+/// Reads a list of frames, as in folders of TUM RGB-D.
 pub fn list(bytes: &[u8]) -> bool {
     is_fine(played(&[("depth.txt", bytes)], PosesConfig::None))
 }
 
-/// Where the camera was in two frames.
+/// Reads the poses of the camera in two frames.
 pub fn poses(bytes: &[u8]) -> bool {
     let list = b"1.00 frame.png\n1.03 frame.png\n";
     is_fine(played(&[("depth.txt", list), ("frame.pose.txt", bytes)], PosesConfig::Path("frame.pose.txt".into())))
 }
 
-/// A recording, of which each depth image is read, and each list of objects that conicflow wrote.
+/// Reads the depth images of a recording, and the lists of objects that conicflow wrote.
 pub fn mcap(bytes: &[u8]) -> bool {
     let objects = is_fine(replayed(bytes, &ItemType::of::<Object>()));
     is_fine(replayed(bytes, &ItemType::of::<u16>())) || objects
 }
 
-/// A message of ROS, as one of each kind that is read.
+/// Reads a message of ROS as each of the kinds of messages that conicflow reads.
 pub fn ros(bytes: &[u8]) -> bool {
     let transforms = || {
         let mut transforms = Transforms::default();
@@ -130,32 +132,32 @@ pub fn ros(bytes: &[u8]) -> bool {
         cloud(),
         transforms(),
     ];
-    // What is told of those that are none has to be printable.
+    // All errors are converted to text, because this must not fail either.
     outcomes.map(|outcome| outcome.map_err(|error| error.to_string()).is_ok()).contains(&true)
 }
 
-/// What is truly in recorded frames.
+/// Reads the true objects of recorded frames.
 pub fn truth(bytes: &[u8]) -> bool {
     let load = |path: PathBuf| RecordedTruth::load(&path, &RecordedTolerances::default());
     is_fine(written("truth.json", bytes).and_then(load).map(drop))
 }
 
-/// A scene, of which two small frames are rendered.
+/// Reads a scene, and renders two small frames of it.
 pub fn scene(bytes: &[u8]) -> bool {
     let template = SceneTemplate::new(String::from_utf8_lossy(bytes).into_owned(), "scene.toml".to_owned());
     is_fine(template.scene(&Values::new()).map(render))
 }
 
-/// A pipeline file.
+/// Reads a pipeline file.
 pub fn pipeline(bytes: &[u8]) -> bool {
     let source = SourceText { name: "pipeline.toml".to_owned(), text: String::from_utf8_lossy(bytes).into_owned() };
-    // What is told of it has to be printable as well.
+    // The report is converted to text, because this must not fail either.
     Pipeline::read(source, Path::new("/nowhere"), &[], &Registry { nodes: NODES, network: Some(NETWORK) })
         .map_err(|report| report.to_string())
         .is_ok()
 }
 
-/// Whether something went well. What is told of it otherwise has to be printable.
+/// Whether an outcome is no error. An error is converted to text, because this must not fail either.
 fn is_fine(outcome: Result<()>) -> bool {
     outcome.map_err(|error| format!("{error:#}")).is_ok()
 }
@@ -183,7 +185,7 @@ fn first_frame(name: &str, bytes: &[u8]) -> Result<()> {
     Ok(())
 }
 
-/// Plays a folder that holds a frame and these files.
+/// Plays a folder that contains a frame and these files.
 fn played(files: &[(&str, &[u8])], poses: PosesConfig) -> Result<()> {
     let folder = folder()?;
     for (name, bytes) in files.iter().chain([&("frame.png", include_bytes!("corpus/png/good").as_slice())]) {
@@ -200,7 +202,7 @@ fn played(files: &[(&str, &[u8])], poses: PosesConfig) -> Result<()> {
     playback.finish()
 }
 
-/// Replays all messages with such items.
+/// Replays all messages of a recording that have items of this type.
 fn replayed(bytes: &[u8], item: &ItemType) -> Result<()> {
     let config = Config { path: Some(written("run.mcap", bytes)?), ..Config::default() };
     let mut replay = Replay::open(&config, Path::new(""), item)?;
@@ -210,7 +212,8 @@ fn replayed(bytes: &[u8], item: &ItemType) -> Result<()> {
     Ok(())
 }
 
-/// Writes a file. Fuzzers do it so often that the folder stays, and lies in memory where there is such.
+/// Writes a file, and returns its path. Fuzzers call this so often that all files go to the same folder, which lies in memory
+/// where possible.
 fn written(name: &str, bytes: &[u8]) -> Result<PathBuf> {
     thread_local! {
         static FOLDER: TempDir = folder().unwrap();

@@ -19,7 +19,7 @@ use std::process::{Child, Command};
 
 pub type Outcome<T> = Result<T, Box<dyn Error>>;
 
-/// The first messages are slow, because caches and connections are cold.
+/// Number of first messages that are left out: they are slow, because caches and connections are cold.
 const WARM_UP: usize = 60;
 const FOLDER: &str = "BENCH_FOLDER";
 
@@ -30,7 +30,8 @@ pub fn frame() -> Outcome<(Header, Vec<u16>)> {
     Ok(collect::<SyntheticSource>(config, context, 1)?.pop().ok_or("the source made nothing")?)
 }
 
-/// Starts this program again, with these arguments followed by the folder of its files; `name` distinguishes its runtime folder.
+/// Starts this program again, with these arguments and the folder of its files as the last argument. The first letter of `name`
+/// is the name of its runtime folder.
 pub fn start(arguments: &[&str], folder: &Path, name: &str) -> Outcome<Child> {
     // Unix sockets are in this folder and need short paths.
     let runtime = folder.join(&name[..1]);
@@ -59,7 +60,7 @@ pub fn written_in(folder: &Path) -> Outcome<[f64; 2]> {
     percentiles(ages.collect())
 }
 
-/// The median and the 99th percentile, in milliseconds.
+/// The median and the 99th percentile, in milliseconds, of these ages without the first [`WARM_UP`].
 pub fn percentiles(mut ages_ns: Vec<u64>) -> Outcome<[f64; 2]> {
     let mut ages_ns = ages_ns.split_off(WARM_UP.min(ages_ns.len()));
     ages_ns.sort_unstable();
@@ -67,7 +68,7 @@ pub fn percentiles(mut ages_ns: Vec<u64>) -> Outcome<[f64; 2]> {
     Ok([0.5, 0.99].map(|share| ages_ns[(share * last as f64) as usize] as f64 * 1e-6))
 }
 
-/// Records the age of messages when they arrive.
+/// A sink that records the age of each message at its arrival.
 pub struct Ages<T>(Vec<u64>, PhantomData<T>);
 
 /// An item type, with the name of its sink.

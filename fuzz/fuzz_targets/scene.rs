@@ -1,9 +1,9 @@
-//! `cargo +nightly fuzz run scene`; the corpus is replayed by an ordinary test, `hostile_files`.
+//! `cargo +nightly fuzz run scene` runs this target. The ordinary test `hostile_files` replays its corpus.
 
 #![no_main]
 
 #[path = "../readers.rs"]
-#[allow(dead_code)] // each target calls one of them
+#[allow(dead_code)] // each target calls one of the readers
 mod readers;
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {

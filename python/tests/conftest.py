@@ -1,4 +1,5 @@
-"""The program `conicflow`, which the tests compare with and run: named in CONICFLOW, or found on the path."""
+"""Fixtures of the tests. The environment variable CONICFLOW names the program `conicflow`; otherwise the search path contains
+it."""
 
 import importlib
 import os
@@ -13,7 +14,7 @@ from pathlib import Path
 import pytest
 
 DEADLINE_S = 120
-"""Timeout of tests, much longer than any wait should take."""
+"""Maximum duration of a wait in seconds, much longer than any wait should take."""
 
 
 @pytest.fixture(scope="session")
@@ -26,7 +27,7 @@ def conicflow_program():
 
 
 def sdk_of_realsense():
-    """Imports the SDK of RealSense with its libraries; without one of them the tests are skipped with a reason."""
+    """Imports the SDK of RealSense. If the SDK or one of its libraries is missing, the test is skipped with a reason."""
     try:
         return importlib.import_module("pyrealsense2")
     except ImportError as error:
@@ -77,7 +78,7 @@ class Playground:
 
 @pytest.fixture
 def playground(conicflow_program, tmp_path, monkeypatch):
-    # Its path has to be short, because it contains sockets.
+    # The path of the runtime folder has to be short, because the folder contains sockets.
     with tempfile.TemporaryDirectory(prefix="cf") as memory:
         monkeypatch.setenv("CONICFLOW_RUNTIME_DIR", memory)
         playground = Playground(conicflow_program, tmp_path)

@@ -26,7 +26,7 @@ node  = "json_sink"
 input = {{ topic = "objects", delivery = "lossless" }}
 path  = "objects.jsonl"
 """
-"""Finds objects and writes them into `objects.jsonl`."""
+"""A pipeline that finds objects and writes them into `objects.jsonl`."""
 
 
 def sink(name, topic, kind):

@@ -13,7 +13,7 @@ PLUGGED = pathlib.Path("plugged")
 
 
 class Device:
-    """A software device that is lost when the file is removed."""
+    """A software device that is lost when the file `plugged` is removed."""
 
     def __init__(self):
         self._word = PLUGGED.read_text()

@@ -19,7 +19,7 @@ def _rays():
 
 
 def _nearest(a, b, c):
-    """Returns the smaller root of a z^2 + b z + c = 0; NaN where there is no real one."""
+    """Returns the smaller root of a z^2 + b z + c = 0; NaN where there is no real root."""
     square = b * b - 4 * a * c
     root = np.sqrt(np.where(square < 0, np.nan, square))
     return np.fmin((-b - root) / (2 * a), (-b + root) / (2 * a))
@@ -47,7 +47,7 @@ def _cone(rays, apex, half_angle, length):
 
 
 def metres(seed=0, shift_m=0.0):
-    """Returns an image in metres, as float64; the ball is shifted along x."""
+    """Returns a depth image in metres, as float64; the ball is shifted along x."""
     rays = _rays()
     depth = np.full((HEIGHT, WIDTH), WALL_M)
     for shape in (
@@ -61,7 +61,7 @@ def metres(seed=0, shift_m=0.0):
 
 
 def millimetres(seed=0, shift_m=0.0):
-    """Returns the same in integer millimetres, with a hole of pixels without a measurement."""
+    """Returns a depth image in integer millimetres, with a hole of pixels without a measurement."""
     depth = np.round(metres(seed, shift_m) * 1000).astype(np.uint16)
     depth[200:210, 10:30] = 0
     return depth

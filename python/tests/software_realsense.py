@@ -33,7 +33,7 @@ class SoftwareRealSense:
         self.sensor.add_read_only_option(rs.option.stereo_baseline, BASELINE_MM)
 
     def show(self, number, stamp_ms):
-        """Has the sensor send an image."""
+        """Makes the sensor send an image."""
         frame = rs.software_video_frame()
         pixels = scenes.millimetres(number)[:: self.shrink, :: self.shrink].copy()
         frame.pixels, frame.stride, frame.bpp = pixels, pixels.shape[1] * 2, 2
@@ -42,7 +42,7 @@ class SoftwareRealSense:
         self.sensor.on_video_frame(frame)
 
     def film(self, is_on):
-        """Sends 30 numbered images per second while it is on."""
+        """Sends 30 numbered images per second while `is_on` returns True."""
 
         def work():
             number = 0
@@ -56,7 +56,7 @@ class SoftwareRealSense:
 
 
 def record(path, frames):
-    """Has the SDK write a recording with a number of images, at 30 Hz."""
+    """Makes the SDK write a recording with this number of images, at 30 Hz."""
     camera = SoftwareRealSense()
     recorder = rs.recorder(str(path), camera.device)
     sensor = recorder.query_sensors()[0]

@@ -151,7 +151,7 @@ class Orbbec:
 
 
 class OakD:
-    """depthai 3: a camera whose stereo node follows a script; `devices` are the connected ones."""
+    """depthai 3: a camera whose stereo node follows a script; `devices` are the serial numbers of the connected devices."""
 
     def __init__(self, script, devices=("1844",), baseline_cm=7.5):
         self.script, self.is_running, self.closed, self.built = list(script), True, False, {}

@@ -1,4 +1,4 @@
-"""Tests of the adapters for Orbbec, OAK-D and Azure Kinect with stand-ins for their SDKs; and of the errors without an SDK."""
+"""Tests of the adapters for Orbbec, OAK-D and Azure Kinect with stand-ins for their SDKs, and of the errors without an SDK."""
 
 import json
 import subprocess
@@ -15,7 +15,7 @@ SETTINGS = Settings(None, None, None, None, None, None, stall_s=3.0)
 
 
 def read_all(camera):
-    """Returns the frames until the end, or until no more come."""
+    """Returns the frames until the recording ends, or until no frame arrives in time."""
     frames = []
     try:
         while (frame := camera.read(0.1)) is not None:
@@ -102,7 +102,7 @@ def test_oak_d_tells_lens_noise_and_stamp(monkeypatch):
     first, second = read_all(camera)
     assert first.lens == (WIDTH, HEIGHT, 10.0, 11.0, 3.5, 2.5, ()) and first.scale == 0.001
     assert first.noise == stereo_noise(10.0, 0.075) and second.number == 1001
-    # Half a second old when it came.
+    # The frame was half a second old when it arrived.
     assert before - 500_000_000 <= first.stamp_ns <= time.time_ns() - 500_000_000
     assert sdk.built["size"] == (640, 400) and sdk.built["fps"] == 20
     sdk.is_running = False
@@ -165,7 +165,7 @@ def test_azure_kinect_tells_lens_and_stamp(monkeypatch):
     assert first.lens[:6] == (WIDTH, HEIGHT, 10.0, 11.0, 3.5, 2.5)
     assert first.lens.distortion == (0.5, 0.1, 0.0, 0.0, 0.01, 0.8, 0.2, 0.02)
     assert (first.scale, first.noise) == (0.001, "time_of_flight")
-    # 33 ms apart on the camera's clock, and now; together they come at once.
+    # The frames are 33 ms apart on the camera's clock, and arrive at the same time. Their stamps are near the present time.
     assert abs(first.stamp_ns - time.time_ns()) < 60e9 and abs(second.stamp_ns - first.stamp_ns) <= 34e6
     assert camera.read(0.1) is None, "nothing came in time"
     assert sdk.config.depth_mode.name == "NFOV_UNBINNED" and sdk.config.camera_fps.name == "FPS_30"

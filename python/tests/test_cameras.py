@@ -34,7 +34,7 @@ def frame(value=1000, lens=LENS, number=None, depth=None):
 
 
 class FakeCamera:
-    """A camera that follows a script: a frame, None for a time without one, or an exception to raise."""
+    """A camera that follows a script of frames, None for a time without a frame, and exceptions to raise."""
 
     def __init__(self, *script):
         self.name, self.script, self.closed = "fake", list(script), False
@@ -80,7 +80,7 @@ def quick(monkeypatch):
 
 
 def play(cameras, settings=SETTINGS, source=None, most_looks=100):
-    """Returns all frames of a stream with these cameras, its log and its counters."""
+    """Runs a stream with these cameras. Returns its frames, its log, and its source, which has the counters."""
     source = source or FakeSource()
     source.most_looks = most_looks
     cameras, told = list(cameras), []
@@ -153,7 +153,7 @@ def test_a_camera_that_stalls_again_and_again_is_told_once():
 def test_a_slow_pipeline_is_no_stall():
     stream = Stream(FakeSource(), lambda: FakeCamera(frame(1), None, frame(2)), SETTINGS, lambda *_: None)
     assert stream.next().depth[0, 0] == 1
-    stream._heard -= 3600.0  # as if the pipeline had had no room for an hour
+    stream._heard -= 3600.0  # as if the pipeline had taken no frame for an hour
     assert stream.next().depth[0, 0] == 2
 
 
@@ -189,7 +189,7 @@ def test_another_size_is_told_and_goes_on():
 
 
 def test_frames_that_the_camera_left_out_are_counted():
-    numbers = [3, 4, 7, 8, 1, 2]  # then the camera's numbers restarted
+    numbers = [3, 4, 7, 8, 1, 2]  # the camera has started its numbers again
     script = [frame(number=number) for number in numbers]
     _, _, source = play([FakeCamera(*script, EndOfRecording())])
     assert source.counted == {"frames lost": 2} and len(source.sent) == 6
@@ -236,7 +236,7 @@ def test_a_distorted_image_is_rectified():
 
 
 def test_what_lies_beyond_the_model_is_not_measured():
-    # x (1 - x^2) folds back at 1 / sqrt(3): farther out it would show the middle again.
+    # The distorted position x (1 - x^2) decreases beyond x = 1 / sqrt(3): farther out the image would show its middle again.
     lens = Lens(41, 1, 20.0, 20.0, 20.0, 0.0, (-1.0,))
     seen = Rectifier(lens)(np.full((1, 41), 5, np.uint16))[0]
     distances = abs(np.arange(41) - 20) / 20
@@ -246,7 +246,7 @@ def test_what_lies_beyond_the_model_is_not_measured():
 def test_stamps_of_a_clock_of_its_own():
     clock, second = DeviceClock(), 10**9
     assert clock.stamp_ns(5 * second, now_ns=100 * second) == 100 * second
-    # The next image comes late; the one after that has a smaller delay than the first.
+    # The next image arrives late; the image after it has a smaller delay than the first.
     assert clock.stamp_ns(6 * second, now_ns=101 * second + 30_000_000) == pytest.approx(101 * second, abs=200_000)
     assert clock.stamp_ns(7 * second, now_ns=102 * second - 5_000_000) == 102 * second - 5_000_000
     # The clock restarts.
@@ -273,7 +273,7 @@ def test_stamps_are_right_soon_after_a_clock_was_set(step):
 def test_images_that_come_late_for_a_while_set_no_clock():
     clock = DeviceClock()
     for number in range(300):
-        # A busy computer: most are late for five seconds, not all.
+        # On a busy computer most images, but not all, are late during five seconds.
         late_s = 0.2 if 100 <= number < 250 and number % 10 else 0.0
         taken_ns = round(number / 30 * 1e9)
         assert clock.stamp_ns(taken_ns, taken_ns + round(late_s * 1e9)) - taken_ns < 1_000_000

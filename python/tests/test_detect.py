@@ -1,4 +1,5 @@
-"""Tests of the detector and the tracker on arrays: results equal to the program's bit for bit, any stride, clear errors."""
+"""Tests of the detector and the tracker on arrays: their results equal those of the program bit for bit, arrays may have any
+stride, and errors are clear."""
 
 import copy
 import datetime
@@ -397,7 +398,7 @@ def test_the_tracker_tells_what_it_cannot_use():
 
 
 def test_other_threads_go_on_while_it_works():
-    """If the lock were held, `count` would make no progress before the detection is over."""
+    """If the detection held the global lock of Python, `count` would make no progress before the detection has ended."""
     frame = np.tile(scenes.millimetres(), (4, 4))
     counted, done = [0], threading.Event()
     started = threading.Event()

@@ -20,7 +20,7 @@ README, PYTHON = (path.read_text() for path in (ROOT / "README.md", ROOT / "docs
 
 
 def blocks(language, section):
-    """Returns the blocks of a section."""
+    """Returns the code blocks of a section that are in this language."""
     text = PYTHON.split(f"\n## {section}\n")[1].split("\n## ")[0]
     return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
 

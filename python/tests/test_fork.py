@@ -1,4 +1,5 @@
-"""Tests of processes that are forked from a reader or a stage: they do not own what they inherit, and leave it alone."""
+"""Tests of processes that are forked from a reader or a stage: a child does not own the reader or the stage, and does not affect
+it."""
 
 import subprocess
 import sys

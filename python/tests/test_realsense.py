@@ -52,7 +52,7 @@ def test_a_recording_of_the_sdk_is_played_back_to_the_last_frame(playground):
         found = detector.detect(scenes.millimetres(number))
         assert line["objects"] == [each.to_dict() for each in found] and len(found) > 0
     assert "images of 320x240" in told and "has a median depth of " in told, told
-    # Output of the SDK itself is not among the results.
+    # The output of the SDK does not mix with the results.
     out, _ = playground.run("run", "--frames", 5, "--quiet")
     assert out == "" and [line["sequence"] for line in lines(playground)] == list(range(5))
 
@@ -99,7 +99,7 @@ def test_a_camera_that_comes_late_is_unplugged_and_returns(playground, monkeypat
     _, told = playground.end(process)
     seen = lines(playground)
     assert [line["sequence"] for line in seen] == list(range(len(seen))), "others see a gap in time, not in numbers"
-    # The camera's clock started at zero; stamps are on this computer's clock.
+    # The camera's clock started at zero, but the stamps are times of this computer's clock.
     assert all(abs(line["stamp_ns"] - time.time_ns()) < 600e9 for line in seen)
     assert "no RealSense is connected" in told and "waits for the camera" in told
     assert f"Software RealSense (serial number {SERIAL}) is lost: it was unplugged" in told
@@ -179,7 +179,7 @@ def test_of_two_cameras_that_with_the_serial_number_is_taken(monkeypatch):
 
 
 class Tracking:
-    """A device without depths."""
+    """A device without a depth sensor."""
 
     def supports(self, what):
         return False

@@ -1,4 +1,4 @@
-//! `conicflow node`: stages that are started one by one by hand.
+//! Tests of `conicflow node`, which starts a single stage by hand.
 
 use crate::outside_stage::with_nearest_object;
 use crate::processes::at_work;

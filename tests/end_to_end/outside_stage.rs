@@ -1,4 +1,4 @@
-//! Stages of other repositories: a program in the middle of a pipeline, and a camera at its beginning.
+//! Stages that are programs of other repositories: one in the middle of a pipeline, and a camera at its beginning.
 
 use crate::support::{Ended, Playground, StageRow, Started, TRACKING, example};
 use rustix::fs::{CWD, Mode, mkfifoat};
@@ -148,7 +148,7 @@ pub fn ball_before_a_wall(width: usize, height: usize, focal_px: f64) -> Vec<u16
     (0..width * height).map(depth).collect()
 }
 
-/// A frame of that camera in bytes.
+/// The bytes of a frame that `raw_camera` reads.
 fn frame() -> Vec<u8> {
     ball_before_a_wall(160, 120, 150.0).into_iter().flat_map(u16::to_le_bytes).collect()
 }
@@ -158,7 +158,7 @@ fn a_camera_program_of_the_user_sends_images_through_a_pipe() {
     let playground = with_raw_camera();
     let pipe = playground.path("depth.z16");
     mkfifoat(CWD, &pipe, Mode::RUSR | Mode::WUSR).unwrap();
-    // A pipe without a reader blocks its writer: this thread, and not the test, which then fails.
+    // A pipe without a reader blocks its writer. A thread writes the frames, so that the test is not blocked and can fail.
     let camera = std::thread::spawn(move || {
         let mut writer = fs::OpenOptions::new().write(true).open(&pipe).unwrap();
         (0..5).for_each(|_| writer.write_all(&frame()).unwrap());

@@ -1,4 +1,4 @@
-//! A run never changes the files that it reads, whatever its stages are asked to write.
+//! A run never changes the files that it reads, whatever paths its sinks are given.
 
 use crate::processes::wait_for_lines;
 use crate::support::{Playground, RECORDING, TRACKING};
@@ -30,7 +30,7 @@ input  = { topic = "depth", delivery = "lossless" }
 output = "ellipses"
 "#;
 
-/// Three frames in `frames/`, and a link there.
+/// Records three frames in `frames/`, and creates `link`, a symbolic link to this folder.
 fn frames() -> Playground {
     let playground = Playground::new();
     playground.record_with_camera(Scene::built_in("tabletop").unwrap().unwrap(), 5, 3);
@@ -38,7 +38,7 @@ fn frames() -> Playground {
     playground
 }
 
-/// The frames with a recording of them, `run.mcap`.
+/// Creates the files of [`frames`], and records the frames in `run.mcap`.
 fn record() -> Playground {
     let playground = frames();
     let depth = "inputs = { depth = { topic = \"depth\", delivery = \"lossless\" } }\n";
@@ -73,7 +73,7 @@ fn expect_refused(playground: &Playground, pipeline: &str, expected: &str) {
 fn no_stage_writes_over_frames_or_what_belongs_to_them() {
     let playground = frames();
     fs::copy(playground.path("frames/0.png"), playground.path("frames/frame_000004.png")).unwrap();
-    // A file at the target of the link would become a frame; the target does not exist yet.
+    // The target of this link does not exist yet. If a sink created it, the source would read it with the frames.
     symlink("frames/depth.txt", playground.path("dangling")).unwrap();
     for (sink, parameters, expected) in [
         (PICTURES, "path = \"frames\"", "from which `path` of stage `source` reads"),
@@ -163,7 +163,7 @@ fn detect_writes_over_nothing_that_it_reads() {
     }
 }
 
-/// Files of a first run may also be overwritten by a second one.
+/// A second run may also overwrite the files that the first run has written.
 #[test]
 fn files_that_no_stage_reads_may_be_written_beside_the_frames() {
     let playground = frames();

@@ -1,4 +1,5 @@
-//! A /dev/shm of a test's own, which may be small, full or littered. It needs root, `unshare` and `nsenter`.
+//! A private /dev/shm for a test, which may be small or full, or contain files that other programs have left. It needs root,
+//! `unshare` and `nsenter`.
 
 use super::support::{Ended, Playground, Started, wait_until, within};
 use rustix::process::geteuid;
@@ -28,7 +29,7 @@ impl OwnSharedMemory {
         Some(Self { holder })
     }
 
-    /// A command that sees this /dev/shm.
+    /// Returns a command that runs `inner` with this /dev/shm.
     pub fn around(&self, inner: &Command) -> Command {
         let folder = inner.get_current_dir().unwrap().to_str().unwrap();
         let mut command = Command::new("nsenter");

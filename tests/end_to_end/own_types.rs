@@ -39,7 +39,7 @@ path  = "grasps.jsonl"
     )
 }
 
-/// A grasp as text with its numbers: the frame, its number and shape; and the numbers.
+/// A grasp: a text with the number of its frame, its own number and its shape, and its numeric values.
 type GraspInWords = (String, Vec<f64>);
 
 fn number(value: &Json) -> f64 {

@@ -20,7 +20,7 @@ use std::time::Duration;
 struct Terminal {
     keys: File,
     inner: OwnedFd,
-    /// Text that was written to it.
+    /// Text that programs have written to the terminal.
     text: Arc<Mutex<String>>,
 }
 
@@ -55,19 +55,19 @@ impl Terminal {
         self.keys.write_all(keys.as_bytes()).unwrap();
     }
 
-    /// Ends the shell at the terminal, which ignores SIGTERM.
+    /// Ends the shell at the terminal by a command, because the shell ignores SIGTERM.
     fn leave(&mut self, shell: Started) {
         self.press("exit 0\n");
         shell.wait().expect_code(0);
     }
 
-    /// Whether it delivers each key when it is pressed, without an echo.
+    /// Whether the terminal delivers each key when it is pressed, without an echo.
     fn gives_keys(&self) -> bool {
         let modes = tcgetattr(&self.inner).unwrap().local_modes;
         !modes.intersects(LocalModes::ICANON | LocalModes::ECHO)
     }
 
-    /// Whether its modes are as before.
+    /// Whether the modes of the terminal are as before the run.
     fn is_as_before(&self) -> bool {
         tcgetattr(&self.inner).unwrap().local_modes.contains(LocalModes::ICANON | LocalModes::ECHO | LocalModes::ISIG)
     }
@@ -75,7 +75,7 @@ impl Terminal {
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_conicflow");
 
-/// The process of the run that is a `conicflow` with this word in its command line.
+/// The process of the playground that runs `conicflow` with this word as its first argument.
 fn process_with(playground: &Playground, word: &str) -> Option<u32> {
     let arguments = |process: &u32| std::fs::read_to_string(format!("/proc/{process}/cmdline")).unwrap_or_default();
     playground.processes().into_iter().find(|process| {
@@ -84,7 +84,7 @@ fn process_with(playground: &Playground, word: &str) -> Option<u32> {
     })
 }
 
-/// Number of the last frame, when the run is paused and everything is delivered.
+/// Waits until the run is paused and all frames are delivered. Returns the number of the last frame.
 fn standing_at(playground: &Playground) -> u64 {
     let mut last = 0;
     wait_until("the run stands still", || {
@@ -152,7 +152,7 @@ fn a_paused_run_ends_in_order_and_its_clock_stops() {
 fn the_terminal_is_given_back_after_a_crash_and_while_the_run_is_stopped() {
     let playground = Playground::with_pipeline(TRACKING);
     let Some(mut terminal) = Terminal::open("dash") else { return };
-    // This shell does not change the modes of its terminal.
+    // `dash` does not change the modes of its terminal, so only `conicflow` can restore them.
     let shell = Started::watched(terminal.command(&playground, &["dash", "-i"]));
     let begin = |terminal: &mut Terminal| {
         terminal.press(&format!("{PROGRAM} run --set source.rate_hz=20\n"));
@@ -166,7 +166,7 @@ fn the_terminal_is_given_back_after_a_crash_and_while_the_run_is_stopped() {
     wait_until("it gives keys again", || terminal.gives_keys());
     terminal.press(" ");
     standing_at(&playground);
-    // A killed launcher cannot restore anything.
+    // A killed launcher cannot restore the modes of the terminal, so the process that reads the keys has to.
     signal(process_with(&playground, "run").unwrap(), Signal::KILL);
     wait_until("it is given back after a crash", || terminal.is_as_before());
     wait_until("nothing is left", || process_with(&playground, "keys").is_none());
@@ -236,7 +236,8 @@ fn a_step_is_shown_to_a_browser_that_did_not_ask_for_a_while() {
     page.frame("tracks", |json| !items(json).is_empty());
     assert_eq!(page.send_command(&json!({ "do": "pause" })), 204);
     let at = standing_at(&playground);
-    // A browser that draws slowly may need this long. The run no longer counts the page as an onlooker.
+    // A browser that draws slowly may send no request for five seconds. After this time the run no longer counts the page as an
+    // onlooker.
     let away = std::time::Instant::now();
     while away.elapsed().as_secs() < 5 {
         playground.top();
@@ -246,7 +247,7 @@ fn a_step_is_shown_to_a_browser_that_did_not_ask_for_a_while() {
     page.frame("the step", |json| json["frame"]["sequence"] == at + 1);
 }
 
-/// A camera of 32x24 pixels behind a pipe, which goes on whether its frames are read or not.
+/// A camera of 32x24 pixels that writes its frames into a pipe, whether the frames are read or not.
 struct Camera {
     /// Number of frames for which the pipe had room.
     taken: Arc<AtomicU64>,
@@ -264,7 +265,7 @@ impl Camera {
         let (taken, is_over) = (Arc::<AtomicU64>::default(), Arc::<AtomicBool>::default());
         let (count, ends) = (Arc::clone(&taken), Arc::clone(&is_over));
         let thread = thread::spawn(move || {
-            // At most 4096 bytes, so that the write is atomic.
+            // An image has less than 4096 bytes, so that each write is atomic.
             let image = [0xe8, 0x03].repeat(32 * 24);
             while !ends.load(Ordering::Relaxed) {
                 let written = rustix::io::write(&pipe, &image);
@@ -275,7 +276,7 @@ impl Camera {
         Self { taken, is_over, thread: Some(thread) }
     }
 
-    /// The stage that reads its frames.
+    /// The stage that reads the frames of this camera.
     fn stage() -> String {
         let program = example("raw_camera");
         format!(
@@ -291,7 +292,7 @@ noise       = {{ floor_m = 0.0, growth_per_m = 0.002, knee_m = 0.0, step_per_m =
         )
     }
 
-    /// Number of frames that were read from the pipe.
+    /// Number of frames for which the pipe had room so far.
     fn taken(&self) -> u64 {
         self.taken.load(Ordering::Relaxed)
     }
@@ -304,7 +305,7 @@ impl Drop for Camera {
     }
 }
 
-/// More frames than fit into the pipe (64 KiB), so that some must have been read.
+/// Number of frames that do not all fit into the pipe (64 KiB). If the camera has written so many, a stage has read some of them.
 const MORE_THAN_WAIT: u64 = 100;
 
 #[test]

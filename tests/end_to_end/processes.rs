@@ -13,7 +13,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Stdio};
 use std::time::Duration;
 
-/// A playground with a run of these stages at this rate, which has begun to deliver and has no end.
+/// Starts a run of these stages at this rate, which does not end by itself, and waits until it delivers tracks. Returns its
+/// playground and the run.
 pub fn at_work(text: &str, rate_hz: u32) -> (Playground, Started) {
     let playground = Playground::with_pipeline(text);
     let mut run = playground.start(&["run", "--set", &format!("source.rate_hz={rate_hz}")]);
@@ -21,12 +22,12 @@ pub fn at_work(text: &str, rate_hz: u32) -> (Playground, Started) {
     (playground, run)
 }
 
-/// Starts a paced run without an end.
+/// Starts a run at 50 Hz that does not end by itself.
 pub fn start(playground: &Playground) -> Started {
     Started::new(hearing_hangups(&playground.command(&["run", "--set", "source.rate_hz=50"])))
 }
 
-/// Waits until a run delivers more than so far.
+/// Waits until a run has written more than three further lines of tracks.
 pub fn wait_for_lines(run: &mut Started, playground: &Playground) {
     let before = playground.count("tracks.jsonl");
     run.wait_until("it delivers", || playground.count("tracks.jsonl") > before + 3);
@@ -75,8 +76,8 @@ fn each_stage_is_a_process_whose_parent_is_the_launcher_and_top_shows_it_at_work
 #[test]
 fn top_and_the_summary_count_what_the_file_of_results_has() {
     let (playground, mut run) = at_work(TRACKING, 50);
-    // First everything under way arrives, then nothing moves. The source may be stopped between sending a message and counting
-    // it.
+    // While the source is stopped, all messages under way arrive, and the counts no longer change. The source may be stopped
+    // after it has sent a message and before it has counted the message.
     let source = stages_of(run.id())["source"];
     signal(source, Signal::STOP);
     let counts = |state: &Json, list: &str, key: &str| -> Vec<u64> {
@@ -123,11 +124,11 @@ fn a_reader_that_never_reads_does_not_keep_a_run_from_ending() {
     expect_nothing_lives(&playground);
 }
 
-/// More messages than five stages and the queues between them hold.
+/// Number of messages that exceeds the capacity of five stages and the queues between them.
 pub const UNDER_WAY: u64 = 24;
 
-/// Kills each stage in turn, when the one before has worked again. Asserts that each restarts, that the others are not restarted,
-/// and that results arrive in order.
+/// Kills the stages one after another, each after the restarted stage before it has worked. Asserts that each killed stage
+/// restarts, that no other stage restarts, and that results arrive in order.
 fn kill_each_stage(delivery: &str) {
     let (playground, mut run) = at_work(&TRACKING.replace("lossless", delivery), 50);
     let launcher = run.id();
@@ -326,8 +327,8 @@ pub fn shared_files(process: u32) -> BTreeSet<PathBuf> {
     paths.filter(|path| path.extension().is_none_or(|end| end != "global_mgmt")).collect()
 }
 
-/// Prefix of the names of all files of a playground's runs in shared memory: `conicflow_` and eight digits of the runtime folder,
-/// which exists as soon as a run has begun.
+/// Prefix of the names of all files of a playground's runs in shared memory: `conicflow_` and a hash of eight digits, which
+/// identifies the folder `shm` in the runtime folder. This folder exists as soon as a run has begun.
 pub fn shared_prefix(playground: &Playground) -> String {
     let about = fs::metadata(playground.runtime().join("shm")).unwrap();
     let bytes = [about.dev(), about.ino(), about.uid().into()].map(u64::to_le_bytes);
@@ -335,7 +336,7 @@ pub fn shared_prefix(playground: &Playground) -> String {
     format!("conicflow_{:08x}_", bytes.as_flattened().iter().fold(0x811c_9dc5_u32, add))
 }
 
-/// Waits until a run has shared memory. Returns the prefix of its names.
+/// Waits until a run has shared memory. Returns the prefix of the names of its files.
 pub fn wait_for_shared_memory(run: &mut Started, playground: &Playground) -> String {
     run.wait_until("it has a folder", || playground.runtime().join("shm").is_dir());
     let prefix = shared_prefix(playground);
@@ -350,7 +351,7 @@ fn no_other_user_can_open_what_a_run_shares() {
     let shared = fs::read_dir("/dev/shm").unwrap().map(|entry| entry.unwrap().path());
     let own: Vec<_> = shared.filter(|path| path.file_name().unwrap().to_str().unwrap().starts_with(&prefix)).collect();
     assert!(own.len() > 20, "only {own:?}");
-    // No other user can reach what lies in the runtime folder.
+    // No other user can open the runtime folder, and so none of the files in it.
     for path in own.iter().map(PathBuf::as_path).chain([playground.runtime()]) {
         let mode = path.metadata().map_or(0, |about| about.permissions().mode());
         assert_eq!(mode & 0o077, 0, "{}: {mode:o}", path.display());
@@ -387,7 +388,8 @@ fn nothing_stays_in_shared_memory_however_runs_end() {
         signal(run.id(), [Signal::INT, Signal::INT, Signal::KILL, Signal::TERM][round % 4]);
         drop(run.wait());
         wait_until("all processes are gone", || playground.processes().is_empty());
-        // If only the launcher was killed, the last of its stages removes the rest.
+        // If only the launcher was killed, the last of its stages removes the shared memory. If all processes were killed, none
+        // is left to remove it.
         if round != ALL_KILLED {
             assert_eq!(files_in_shared_memory(&prefix), [""; 0], "left in round {round}");
         }
@@ -411,8 +413,8 @@ fn a_run_that_is_interrupted_as_soon_as_it_has_shared_memory_leaves_nothing() {
     }
 }
 
-/// Leaves a segment of shared memory as a process does that is killed while it creates it: with a name, without a size, and not
-/// readable.
+/// Creates a file like the one that a process leaves if it is killed while it creates a segment of shared memory: the file is
+/// empty and not readable.
 fn begin(path: &Path) {
     fs::OpenOptions::new().write(true).create_new(true).mode(0o200).open(path).unwrap();
 }

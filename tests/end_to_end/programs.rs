@@ -28,8 +28,8 @@ pub fn router(endpoints: &[String]) -> Command {
     command
 }
 
-/// Runs a stage, unless this process was not started by a launcher. It ends with the exit code of a `main`, because a test that
-/// fails has another one.
+/// Runs a stage if a launcher has started this process. The process then ends with the exit code that the `main` of the stage
+/// would have, because a test that fails would have another one.
 fn run<S: Stage>() {
     if std::env::var_os("CONICFLOW_STAGE").is_none() {
         return;
@@ -67,20 +67,20 @@ fn run_router() {
     }
 }
 
-/// Forwards its input. At one frame it panics, hangs without a heartbeat, or writes nonsense.
+/// A stage that forwards its input. At some frames it panics, hangs without a heartbeat, or writes malformed objects.
 struct FaultyStage(FaultyStageConfig);
 
 /// Parameters of the faulty stage.
 #[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 struct FaultyStageConfig {
-    /// The frame at which it panics.
+    /// Number of the first frame at which the stage panics.
     panic_at: Option<u64>,
-    /// Number of frames after that one at which it panics, too.
+    /// Number of frames after `panic_at` at which the stage panics, too.
     panics_more: u64,
-    /// The frame at which it hangs.
+    /// Number of the frame at which the stage hangs.
     hang_at: Option<u64>,
-    /// The first of three frames at which it writes a malformed object.
+    /// Number of the first of three frames at which the stage writes a malformed object.
     nonsense_at: Option<u64>,
 }
 
@@ -160,7 +160,7 @@ impl Numbers {
     }
 }
 
-/// Writes the number of each image. Because of its delay frames are lost before it.
+/// Writes the number of each image. A delay makes the sink so slow that it loses frames of a writer that does not wait for it.
 struct SlowSink(Numbers);
 
 impl Stage for SlowSink {
@@ -179,8 +179,8 @@ impl Stage for SlowSink {
     }
 }
 
-/// Writes the number of each list of objects, and those of the image and of the ellipses of the same frame, which are its side
-/// inputs.
+/// Writes the number of each list of objects, and the numbers of the image and of the ellipses of the same frame, which are side
+/// inputs of this sink.
 struct PairingSink(Numbers);
 
 impl Stage for PairingSink {

@@ -1,5 +1,5 @@
-//! Two hosts joined by a bad radio: it does not affect stages of the robot, lists arrive before images, and lossless edges lose
-//! nothing. The tests need root, `ip netns`, python3 and /dev/net/tun; without these they print that they are skipped.
+//! Two hosts joined by a bad radio: the radio does not affect the stages of the robot, lists arrive before images, and lossless
+//! edges lose nothing. The tests need root, `ip netns`, python3 and /dev/net/tun; without these they print that they are skipped.
 
 use super::bridge::machines;
 use super::certificates::{hand_over, make_certificates};
@@ -7,7 +7,8 @@ use super::hosts::{Hosts, MOST_STALE, ROBOT, nothing_is_lost, stale};
 use super::support::{Playground, Started};
 use std::time::Instant;
 
-/// The robot finds objects. Both machines read them, and have these tables in the pipeline file.
+/// A pipeline in which the robot finds objects and both machines read them. `robot` and `base` are the tables of the machines in
+/// the pipeline file.
 fn lists_cross(robot: &str, base: &str) -> String {
     format!(
         r#"
@@ -27,7 +28,7 @@ lists     = {{ machine = "base", node = "json_sink", input = "objects", path = "
     )
 }
 
-/// Sends uncompressed images, which exceed the rate of the radio, and lists beside them.
+/// A pipeline in which lists cross the radio, and also uncompressed images, which exceed the rate of the radio.
 fn everything_crosses() -> String {
     const IMAGES: &str = r#"
 again  = { machine = "base", node = "row_ellipse_extractor", input = { topic = "depth", compression = "none" }, output = "again" }
@@ -38,7 +39,7 @@ images = { machine = "base", node = "json_sink", input = "found", path = "images
     lists_cross(&format!("listen = {endpoints}\ninsecure = true"), &format!("connect = {endpoints}")) + IMAGES
 }
 
-/// The lines of a sink, beginning with some line.
+/// Lines that a sink has written: the numbers of the first and the last frame, and the sorted latencies.
 struct Written {
     first: u64,
     last: u64,
@@ -59,18 +60,19 @@ impl Written {
         Self { first: sequence(lines.first()), last: sequence(lines.last()), latencies_ms }
     }
 
-    /// Whether the messages had waited in a queue: many of them, or, if few arrived, most.
+    /// Whether the messages had waited in a queue: whether more than [`MOST_STALE`] of them are stale, or, if few arrived, more
+    /// than half.
     fn is_backlog(&self) -> bool {
         stale(self.latencies_ms.iter().copied()) > MOST_STALE.min(self.latencies_ms.len() / 2)
     }
 
-    /// Share of the frames that arrived.
+    /// Share of the frames from the first to the last that arrived.
     fn share(&self) -> f64 {
         self.latencies_ms.len() as f64 / (self.last - self.first + 1) as f64
     }
 }
 
-/// The robot, whose frames serve as a clock.
+/// The robot and its run. The tests measure time by the number of its frames.
 struct Robot<'a> {
     machine: &'a Playground,
     run: Started,
@@ -81,13 +83,13 @@ impl Robot<'_> {
         self.machine.newest("local.jsonl")
     }
 
-    /// Waits for this number of further frames of the robot.
+    /// Waits until the robot has processed this number of further frames.
     fn go_on(&mut self, frames: u64) {
         let (machine, target) = (self.machine, self.frame() + frames);
         self.run.wait_until("the robot goes on", || machine.newest("local.jsonl") >= target);
     }
 
-    /// The results of the robot while `during` disturbs it.
+    /// Runs `during`, and returns the results that the robot has written in this time.
     fn watch(&mut self, what: &str, during: impl FnOnce(&mut Self)) -> Written {
         let from = self.machine.lines("local.jsonl").len();
         during(self);
@@ -100,12 +102,12 @@ impl Robot<'_> {
 
 /// Files of the sinks of the base.
 const FILES: [&str; 2] = ["lists.jsonl", "images.jsonl"];
-/// Number of windows of which one has to be good: on a busy host many may be bad.
+/// Maximum number of windows that a test tries until one is good: on a busy host many may be bad.
 const TRIES: usize = 5;
 /// Number of frames for which the radio is dead. A backlog of them would have more stale messages than permitted.
 const DEAD_FRAMES: u64 = 160;
 
-/// Both machines while they run, and the results of the robot from before the base was started.
+/// Both machines while they run, and the results that the robot wrote before the base was started.
 struct Pair<'a> {
     robot: Robot<'a>,
     base: &'a Playground,
@@ -114,8 +116,8 @@ struct Pair<'a> {
 }
 
 impl Pair<'_> {
-    /// The results of the robot while `during` disturbs the radio, and the lists and images that have reached the base when no
-    /// more are to come.
+    /// Runs `during`, which disturbs the radio, and waits until newer messages arrive at the base. Returns the results that the
+    /// robot wrote during the disturbance, and the results of the base from lists and from images up to then.
     fn window(&mut self, what: &str, during: impl FnOnce(&mut Robot<'_>)) -> (Written, [Written; 2]) {
         let base = self.base;
         let before = FILES.map(|file| base.lines(file).len());
@@ -138,7 +140,7 @@ impl Pair<'_> {
         let mut faults = Vec::new();
         while faults.len() < TRIES {
             let (robot, files) = self.window(what, &during);
-            // A stage that waits for the radio would lose all frames. On a busy host some are lost now and then.
+            // A stage that waits for the radio would lose all frames. On a busy host a stage sometimes loses a few.
             let unfelt =
                 robot.share() > 0.75 * self.alone.share() && robot.latency(0.5) < 2.0 * self.alone.latency(0.5) + 20.0;
             let is_stale = files.iter().any(Written::is_backlog);
@@ -156,7 +158,7 @@ impl Pair<'_> {
     }
 }
 
-/// The results of the base, beginning with some line.
+/// Prints and returns the results of the base from line `from` on.
 fn show(base: &Playground, file: &str, from: usize) -> Written {
     let written = Written::of(base, file, from);
     let [p50, p99, most] = [0.5, 0.99, 1.0].map(|quantile| written.latency(quantile));

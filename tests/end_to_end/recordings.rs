@@ -1,5 +1,5 @@
-//! Recordings: a run's recording is replayed to the bit from any stage on, also if the recorder was killed; onlookers record
-//! without an effect on the run; other programs read the recordings, and their recordings are read here.
+//! Recordings: the replay of a recording gives the same bits from any stage on, also if the recorder was killed; an onlooker that
+//! records does not affect the run; other programs can read the recordings, and `conicflow` can read theirs.
 
 use crate::bridge::without_times;
 use crate::processes::{at_work, stages_of, wait_for_lines};
@@ -101,10 +101,11 @@ fn a_recording_without_an_index_may_begin_with_many_unused_messages() {
         let content = parts.concat();
         [&[opcode][..], &(content.len() as u64).to_le_bytes(), &content].concat()
     };
-    // A channel without a schema, and messages of it: number, sequence, two times, 8 bytes.
+    // A channel without a schema, and a message of this channel: channel number, sequence number, two times and eight bytes of
+    // content.
     let channel = record(4, &[&u16::MAX.to_le_bytes(), &[0; 2], &[1, 0, 0, 0, b'x'], &[0; 4], &[0; 4]]);
     let message = record(5, &[&u16::MAX.to_le_bytes(), &[0; 4 + 8 + 8 + 8]]);
-    // The messages stand directly after the header. The end of the file, with the index, is missing.
+    // The messages follow directly after the header. The last eight bytes of the file are missing, so that its index is not used.
     let header = 8 + 9 + u64::from_le_bytes(recorded[9..17].try_into().unwrap()) as usize;
     let (before, after) = recorded[..recorded.len() - 8].split_at(header);
     let patient = "rate_hz = 0\nrestart = { when = \"on_failure\", hang_s = 1 }\n";
@@ -117,7 +118,8 @@ fn a_recording_without_an_index_may_begin_with_many_unused_messages() {
         let begun = Instant::now();
         let ended = playground.conicflow(&["run", "replay.toml"]).expect_code(0);
         if begun.elapsed() < Duration::from_secs(2) {
-            // The recording was read too fast for a kill to show anything.
+            // The source has read the recording so fast that it would not have been killed as hanging. The next recording is
+            // twice as long.
             many *= 2;
             return false;
         }
@@ -146,7 +148,7 @@ fn a_recorder_that_is_replaced_leaves_two_recordings_and_no_empty_file() {
     }
 }
 
-/// Existing files stay as they are.
+/// Existing files do not change.
 #[test]
 fn a_recording_that_begins_with_a_swap_has_its_own_path_and_continues_no_other_file() {
     let playground = Playground::with_pipeline(TRACKING);
@@ -175,7 +177,7 @@ fn the_record_command_ends_at_its_size_limit() {
 
 #[test]
 fn the_record_command_records_a_running_pipeline_until_it_ends() {
-    // An onlooker records only what it has time for, also on a busy machine.
+    // The rate is low, because an onlooker records only the messages for which it has time, and the machine may be busy.
     let (playground, mut run) = at_work(TRACKING, 25);
     let mut recorder = playground.start(&["record", "depth", "objects", "depth", "-o", "part.mcap"]);
     recorder.wait_for_text("records `depth`, `objects` into `part.mcap`");
@@ -190,7 +192,8 @@ fn the_record_command_records_a_running_pipeline_until_it_ends() {
     let made = run.end().stage("source").messages;
     let log = recorder.wait().expect_code(0).stderr;
     assert!(log.contains("recorded ") && log.contains("MB: depth "), "{log}");
-    // The number of recorded messages, and in brackets the number of those that it had no time for.
+    // The log contains the number of recorded messages, and in brackets the number of messages for which the recorder had no
+    // time.
     let (_, objects) = log.rsplit_once(", objects ").unwrap();
     let numbers = objects
         .lines()
@@ -245,15 +248,15 @@ fn script(python: &str, arguments: &[&Path]) -> String {
     Started::new(command).wait().expect_code(0).stdout
 }
 
-/// Exit code of `timeout` if the program did not end in time and was not killed.
+/// Exit code of `timeout` if the program did not end in time, and SIGTERM ended it, so that SIGKILL was not needed.
 const TIMED_OUT: i32 = 124;
-/// A depth image has hundreds of colours, and the window around it is grey.
+/// A screenshot that shows the depth image has more than this number of colours, because the window around the image is grey.
 const COLOURS: usize = 1000;
 
 #[test]
 fn other_programs_read_recordings() {
     let Some(python) = other_programs() else { return };
-    // Objects of all three kinds need wider images.
+    // The images are wide, so that objects of all three kinds are found.
     let wide = recording().replace("width      = 64\nheight     = 48", "width      = 320\nheight     = 240");
     let playground = Playground::with_pipeline(&wide.replace("intrinsics = {", "# {"));
     playground.conicflow(&["run", "--frames", "30"]).expect_code(0);
@@ -282,8 +285,8 @@ fn other_programs_read_recordings() {
     assert!(channels.len() > 10 && channels.iter().all(|line| line.trim_start().starts_with("ok")), "{checked}");
     let shown = ["run.mcap", "--headless", "--bind", "127.0.0.1", "--port", "0", "--window-size", "800x500"];
     let mut most = None;
-    // On a busy machine Rerun may take the picture before it has read the file, or may give up a picture that takes more than ten
-    // seconds, and then not end.
+    // On a busy machine Rerun may take the screenshot before it has read the file. It may also give up a screenshot that takes
+    // more than ten seconds, and then it does not end.
     for _ in 0..5 {
         let shot = rerun(&[&shown[..], &["--screenshot-to", "shot.png"]].concat());
         if shot.stderr.contains("No graphics adapter") {

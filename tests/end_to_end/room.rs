@@ -12,7 +12,7 @@ use std::fs;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
-/// A pipeline with images of the usual size, which cost little time.
+/// A pipeline with images of 640x480, the usual size. They have no noise and a low rate, so that they cost little processor time.
 pub fn pipeline(delivery: &str) -> String {
     tracking_behind(
         "node = \"synthetic_source\"\nscene = \"tabletop\"\nwidth = 640\nheight = 480\nnoise = \"ideal\"\nrate_hz = 10\n",
@@ -31,7 +31,8 @@ pub fn messages(playground: &Playground, stage: &str) -> u64 {
     playground.top_stage(stage)["messages"].as_u64().unwrap()
 }
 
-/// Stops the readers from the last to the first, each one when the writer before it has filled its queue.
+/// Stops the readers one after another, from the last to the first. Waits after each until the writer has filled the queue of the
+/// stopped reader.
 fn fill_all_queues(playground: &Playground, run: &mut Started) {
     let stages = stages_of(run.id());
     for (_, writer, reader) in TRACKING_TOPICS.iter().rev() {

@@ -29,12 +29,12 @@ const MARKERS_HASH: &str = "RIHS01_86cb8800b6fb05b5eff1abd7a56f62a5641d3ae9a1c29
 const FRAME: &str = "camera_depth_optical_frame";
 const SMALL: Camera = Camera { width: 64, height: 48, fx: 50.0, fy: 50.0, cx: 31.5, cy: 23.5 };
 
-/// A session of a robot, connected to the router.
+/// Opens a Zenoh session in place of a robot, connected to the router at this endpoint.
 fn robot(endpoint: &str) -> zenoh::Session {
     session("client", &[("connect/endpoints", &format!("[\"{endpoint}\"]"))])
 }
 
-/// An endpoint, the router that listens there, and a session of a robot.
+/// Returns an endpoint, the router that listens at it, and the session of a robot.
 fn behind_router() -> (String, zenoh::Session, zenoh::Session) {
     let endpoint = loopback();
     let (router, robot) = (router(&endpoint), robot(&endpoint));
@@ -58,7 +58,7 @@ impl RobotsTopic {
 
     fn publish(&mut self, message: Vec<u8>) {
         self.sequence += 1;
-        // A busy machine is slow, and the test must not lose messages.
+        // The session waits where a busy machine is slow, because the test must not lose messages.
         let put = self.session.put(&self.key, message).congestion_control(CongestionControl::Block);
         put.attachment(attachment(self.sequence)).wait().unwrap();
     }
@@ -102,14 +102,14 @@ fn plain(stamped: Stamped<'_>, camera: &Camera, pixels: &[u16]) -> Vec<u8> {
     write_units(stamped, (camera.width, camera.height), pixels, Vec::new())
 }
 
-/// An image of the small camera that looks at a wall.
+/// An image of the small camera, which shows a wall at a distance of one metre.
 fn wall(stamped: Stamped<'_>) -> Vec<u8> {
     plain(stamped, &SMALL, &[1000; 64 * 48])
 }
 
 /// A depth image as `compressed_depth_image_transport` sends it.
 fn compressed(stamped: Stamped<'_>, camera: &Camera, pixels: &[u16]) -> Vec<u8> {
-    let mut file = vec![0; 12]; // how depths in metres were made whole numbers; these are millimetres
+    let mut file = vec![0; 12]; // parameters to convert integers to metres, unused for millimetres
     depth_png(&mut file, camera.width, pixels);
     let mut writer = Writer::new(Vec::new());
     writer.stamped(stamped).text("16UC1; compressedDepth png").bytes(file.len(), file.into_iter());
@@ -148,7 +148,7 @@ fn wait_for_token(session: &zenoh::Session, part: &str) -> String {
     found.unwrap()
 }
 
-/// The stages of `text` with a ROS 2 camera as their source.
+/// The stages of `text` with the depth images of a ROS 2 camera as their source.
 fn by_ros(text: &str, endpoint: &str) -> String {
     by_topic(text, "image_rect_raw", endpoint)
 }
@@ -189,11 +189,11 @@ fn recorded(text: &str, frames: u64) -> (Playground, Camera, Vec<Vec<u16>>) {
 /// Encodes a depth image in millimetres as a ROS message.
 type Encode = fn(Stamped<'_>, &Camera, &[u16]) -> Vec<u8>;
 
-/// The lines of results for frames in files, and for the same frames as messages of a ROS topic.
+/// Returns the results for frames in files, and for the same frames as messages of a ROS topic.
 fn of_files_and_of_ros(name: &str, kind: &str, hash: &str, encode: Encode) -> [Vec<Json>; 2] {
     const FRAMES: u64 = 10;
-    // The unit of depth contributes to the noise, and clouds have a smaller one. With a noise model other than the ideal one both
-    // have the same noise.
+    // The unit of the depths contributes to the noise, and the unit of clouds is smaller. With a noise model other than the ideal
+    // one, frames from files and from clouds have the same noise.
     let with_noise = |text: String| text.replace("\"ideal\"", "\"kinect_v1\"");
     let (files, camera, images) = recorded(&with_noise(RECORDING.to_owned()), FRAMES);
     files.conicflow(&["run"]).expect_code(0);
@@ -206,7 +206,8 @@ fn of_files_and_of_ros(name: &str, kind: &str, hash: &str, encode: Encode) -> [V
         let stamped = Stamped { stamp_ns: 1_700_000_000_000_000_000 + number as u64, frame_id: FRAME };
         info.publish(info_of(&camera, stamped));
         topic.publish(encode(stamped, &camera, image));
-        // The next message is sent when the objects of an earlier one are written, because a ROS topic waits for no subscriber.
+        // The test sends the next message after the objects of an earlier message are written, because a ROS topic does not wait
+        // for its subscribers.
         run.wait_until("its objects are written", || of_ros.lines("objects.jsonl").len() + 2 > number);
     }
     run.wait().expect_code(0);
@@ -219,7 +220,7 @@ fn of_files_and_of_ros(name: &str, kind: &str, hash: &str, encode: Encode) -> [V
     lines
 }
 
-/// The numbers and the objects of each line.
+/// The frame number and the objects of each line.
 fn objects(lines: &[Json]) -> Vec<(Json, Json)> {
     lines.iter().map(|line| (line["sequence"].clone(), line["objects"].clone())).collect()
 }
@@ -240,7 +241,8 @@ fn compressed_images_of_ros_give_the_objects_that_the_same_files_give() {
 #[test]
 fn clouds_of_ros_give_the_objects_that_the_same_files_give() {
     let [of_files, of_ros] = of_files_and_of_ros("points", "PointCloud2", CLOUD_HASH, cloud);
-    // Depths in single precision have a smaller unit. So places differ a little, and close decisions may differ.
+    // The depths of clouds are in single precision, and have a smaller unit. So the positions of objects differ a little, and an
+    // object at the limit of a criterion may be found in only one of the two.
     let (mut all, mut alike) = (0, 0);
     for (of_file, of_cloud) in of_files.iter().zip(&of_ros) {
         let [of_file, of_cloud] = [of_file, of_cloud].map(|line| line["objects"].as_array().unwrap());
@@ -254,7 +256,8 @@ fn clouds_of_ros_give_the_objects_that_the_same_files_give() {
     assert!(all > 24 && 10 * alike > 9 * all, "{alike} of {all}");
 }
 
-/// From ROS 2 Lyrical on a publisher of images uses a key below that of the topic for subscribers whose token announces that.
+/// From ROS 2 Lyrical on, a publisher of images uses a key below that of the topic for subscribers that announce in their
+/// liveliness token that they accept such keys.
 #[test]
 fn images_below_the_key_of_the_topic_are_taken() {
     let (endpoint, _router, session) = behind_router();
@@ -268,7 +271,7 @@ fn images_below_the_key_of_the_topic_are_taken() {
     info.publish(info_of(&SMALL, stamped));
     for taken in 1..=3 {
         below.publish(wall(stamped));
-        // Two other subscribers received messages under keys of their own, which have numbers of their own.
+        // The publisher has sent messages to two other subscribers under other keys. These messages have used up two numbers.
         below.sequence += 2;
         run.wait_until("it is taken", || playground.lines("objects.jsonl").len() == taken);
     }
@@ -328,7 +331,7 @@ fn the_pose_of_the_camera_is_read_from_transforms_and_published_as_one() {
     let subscriber =
         session.declare_subscriber(format!("0/tf/tf2_msgs::msg::dds_::TFMessage_/{TF_HASH}")).wait().unwrap();
     let text = by_ros(RECORDING, &endpoint).replace("[stage.extractor]", "world = \"map\"\n\n[stage.extractor]");
-    // The robot's own frame already has a parent.
+    // The frame of the camera already has the parent `base`, so the sink publishes the pose with the name of another frame.
     let sink = "input = \"objects\"\nworld = \"map\"\nframe_id = \"seen_from\"";
     let playground = Playground::with_pipeline(&with_sink(&text, sink, &endpoint));
     let mut run = playground.start(&["run"]);
@@ -411,7 +414,7 @@ fn tracks_reach_ros_and_the_node_is_listed_there() {
     check_received(&received.lock().unwrap());
 }
 
-/// Replaces the sink during the run, and waits for further messages.
+/// Replaces the sink during the run, and waits for messages of the new sink.
 fn swap_and_go_on(playground: &Playground, run: &mut Started, received: &Mutex<Vec<ReceivedMessage>>) {
     playground.conicflow(&["swap", "ros", "--set", "frame_id=optical"]).expect_code(0);
     let is_new = |message: &[u8]| message.windows(7).any(|bytes| bytes == b"optical");
@@ -457,7 +460,7 @@ fn malformed_messages_are_skipped_and_reported_once() {
     let mut random = fastrand::Rng::with_seed(7);
     damaged.extend((0..200).map(|_| {
         let mut message = wall(stamped);
-        // Lengths and sizes stand in the first hundred bytes.
+        // The first hundred bytes contain the lengths and sizes.
         (0..4).for_each(|_| message[random.usize(..100)] = random.u8(..));
         message.truncate(random.usize(..message.len()));
         message
@@ -505,7 +508,7 @@ fn a_router_of_ros_may_start_late_and_restart() {
     assert_eq!(ended.stage("ros").starts, 1);
 }
 
-/// Whether twenty messages in each round found no router.
+/// Whether the sink has counted more than twenty messages without a router for each round.
 fn is_without_router(playground: &Playground, round: u64) -> bool {
     playground.top_stage("ros")["counters"]["messages without a router"].as_u64().unwrap_or(0) > 20 * round
 }
@@ -525,7 +528,7 @@ fn silence_is_reported_with_the_topics_that_exist() {
     run.end();
 }
 
-/// Images arrive at 50 Hz, each before the wait for the camera of the one before is over.
+/// Images arrive at 50 Hz: each one arrives while the source still waits for the camera info of the one before.
 #[test]
 fn images_without_a_camera_info_are_reported_and_counted_and_nothing_is_sent() {
     let (endpoint, _router, session) = behind_router();
@@ -536,7 +539,7 @@ fn images_without_a_camera_info_are_reported_and_counted_and_nothing_is_sent() {
     let stamped = Stamped { stamp_ns: 1, frame_id: FRAME };
     let has_camera = AtomicBool::new(false);
     let counted = || playground.top_stage("source")["counters"]["frames without camera"].as_u64().unwrap_or(0);
-    // The thread publishes until the other end of the channel is dropped, also by a test that fails.
+    // The thread publishes until the other end of the channel is dropped, which also happens if the test fails.
     let (goes_on, over) = channel::<()>();
     thread::scope(|scope| {
         let _goes_on = goes_on;

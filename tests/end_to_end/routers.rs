@@ -21,7 +21,7 @@ pub fn session(mode: &str, set: &[(&str, &str)]) -> zenoh::Session {
     zenoh::open(config).wait().unwrap()
 }
 
-/// The stages of `text` on a robot and a base, each with its Zenoh settings.
+/// Returns the playgrounds of a robot and a base that run the stages of `text`, each with its Zenoh settings.
 pub fn by_router(text: &str, places: &[(&str, &str)], settings: [String; 2]) -> [Playground; 2] {
     let machines = "\n[machine.robot]\nzenoh = \"net.json5\"\n[machine.base]\nzenoh = \"net.json5\"\n";
     let text = placed(text, places) + machines;
@@ -101,7 +101,7 @@ fn short_messages_use_datagrams_through_a_router_too() {
         [("source", "robot"), ("extractor", "robot"), ("assembler", "robot"), ("tracker", "base"), ("json", "base")];
     let settings = [(); 2].map(|()| knows("client", &[&stream, &datagrams]));
     let machines = by_router(&live(TRACKING), &places, settings);
-    // The first router does not accept datagrams.
+    // The first router listens only on TCP, so it does not accept datagrams.
     let without = router(&stream);
     let mut runs = start_both(&machines);
     runs[1].wait_until("tracks arrive", || newest(&machines[1]) > 10);

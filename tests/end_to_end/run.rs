@@ -15,7 +15,7 @@ use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-/// A pipeline of a source and a slow sink with `latest`.
+/// A pipeline of a source and a slow sink, which reads only the latest frame.
 fn slow_pipeline(delay_ms: u64) -> Playground {
     let program = program("slow_sink");
     Playground::with_pipeline(&format!(
@@ -128,7 +128,8 @@ fn a_slow_reader_loses_frames_and_each_of_them_is_counted() {
     let input = ended.input("depth", "sink");
     assert_eq!(input.received, taken.len() as u64);
     assert!(input.dropped > 0, "nothing was lost, so that nothing is shown");
-    // Messages that were sent before the reader had joined are not lost. It may nevertheless have received some of them.
+    // Messages that the source sent before the sink had joined do not count as lost. The sink may nevertheless have received some
+    // of them.
     let (sent, counted) = (ended.stage("source").messages, input.received + input.dropped);
     assert!((sent - taken[0]..=sent).contains(&counted), "{counted} of {sent}, the first was {}", taken[0]);
     assert_eq!(input.late, 0);
@@ -142,7 +143,7 @@ fn a_source_that_surveys_a_hundred_thousand_files_does_not_count_as_hanging() {
     let text = RECORDING.replace("rate_hz = 0", "rate_hz = 0\nrestart = { when = \"on_failure\", hang_s = 1 }");
     let playground = Playground::in_memory().and_pipeline(&text);
     playground.record_with_camera(Scene::built_in("tabletop").unwrap().unwrap(), 5, 2);
-    // Some file systems limit the number of names of a file.
+    // Some file systems limit the number of names of a file, so these names are divided between two files.
     let frame = |number: u32| playground.path(&format!("frames/{number}.png"));
     (2..100_000).for_each(|number| fs::hard_link(frame(number % 2), frame(number)).unwrap());
     let comes_through = |_| {

@@ -14,14 +14,14 @@ fn finite(frames: u32) -> String {
     TRACKING.replace("rate_hz    = 0", &format!("rate_hz    = 0\nframes     = {frames}"))
 }
 
-/// The results of a run on one machine in these files.
+/// Runs the pipeline on one machine. Returns the results in these files.
 fn alone<const N: usize>(text: &str, files: [&str; N]) -> [Vec<Json>; N] {
     let playground = Playground::with_pipeline(text);
     playground.conicflow(&["run"]).expect_code(0);
     files.map(|file| without_times(&playground, file))
 }
 
-/// Runs the file on all machines until all runs have ended.
+/// Runs the pipeline on all machines, and waits until all runs have ended.
 fn run_on<const N: usize>(text: &str, names: [&str; N]) -> [Playground; N] {
     let machines = names.map(|_| Playground::with_pipeline(text));
     let runs: Vec<_> = machines.iter().zip(names).map(|(machine, name)| start(machine, name)).collect();
@@ -78,7 +78,7 @@ path  = "ellipses.jsonl"
 
 #[test]
 fn pipelines_beside_each_other_on_the_same_machines_do_not_meet() {
-    // Slow enough that both pipelines run on both machines at the same time.
+    // The rate is so low that both pipelines run on both machines at the same time.
     let paced = |frames| finite(frames).replace("rate_hz    = 0", "rate_hz    = 20");
     let other = paced(30).replace("\"tracking\"", "\"other\"").replace("width", "seed = 7\nwidth");
     let texts = [paced(40), other.replace("tracks.jsonl", "other.jsonl")];
@@ -88,7 +88,7 @@ fn pipelines_beside_each_other_on_the_same_machines_do_not_meet() {
     let [robot, base] = [Playground::new(), Playground::new()];
     let mut runs = Vec::new();
     for (text, own) in texts.iter().zip(&endpoints) {
-        // Both sessions of the base connect to both of the robot, so that only the keys distinguish the pipelines.
+        // Both sessions of the base connect to both sessions of the robot, so that only the keys distinguish the pipelines.
         let ends = format!("\n[machine.robot]\nlisten = [\"{own}\"]\n[machine.base]\nconnect = {endpoints:?}\n");
         let file = format!("{}.toml", runs.len());
         for (machine, name) in [(&robot, "robot"), (&base, "base")] {
@@ -132,7 +132,7 @@ json      = { machine = "base", node = "json_sink", input = "ellipses", path = "
 fn the_pipeline_for_two_machines_runs_as_the_readme_says() {
     const TEXT: &str = include_str!("../../pipeline.two-machines.toml");
     let port = loopback().rsplit(':').next().unwrap().to_owned();
-    // Another test may use the port of the file.
+    // The port is replaced, because another test may use the port of the file.
     let [robot, base] = machines(&TEXT.replace("7447", &port));
     robot.conicflow(&["validate"]).expect_code(0);
     let smaller = ["--set", "source.width=160", "--set", "source.height=120"];
@@ -220,7 +220,7 @@ fn of_two_runs_that_receive_as_one_machine_the_first_gets_all_and_all_machines_r
             "machine `robot` hears another run of machine `base`, too; what counts there is the run that ",
         );
     }
-    // A stopped run blocks no other.
+    // The second run of the base is stopped. This must not block the first run.
     second.processes().into_iter().for_each(|process| signal(process, Signal::STOP));
     wait_for_frames(&mut first_run, &first, 80);
     let made = robot_run.end().stage("source").messages;

@@ -1,4 +1,4 @@
-//! A long live run: memory, open files and shared memory do not grow. For an hour of it, with its latencies:
+//! A long live run: memory, open files and shared memory do not grow. This command runs it for an hour, and prints its latencies:
 //! `CONICFLOW_SOAK_S=3600 cargo test --release --test end_to_end -- soak --nocapture`
 
 use crate::processes::{files_in_shared_memory, shared_files, shared_prefix, stages_of};
@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 const SECONDS: &str = "CONICFLOW_SOAK_S";
 const DEFAULT_SECONDS: u64 = 12;
 const SAMPLES: u64 = 60;
-/// After this number of frames each stage has allocated everything.
+/// Number of frames after which each stage has allocated all its memory.
 const WARM_UP_FRAMES: u64 = 100;
 /// Permitted growth of a process in kB: a few pages that it had not touched before.
 const SLACK_KB: u64 = 512;
@@ -75,7 +75,7 @@ fn a_long_run_uses_no_more_memory_and_files_at_its_end_than_at_its_beginning() {
     let seconds = asked.unwrap_or(DEFAULT_SECONDS);
     let live = TRACKING.replace("lossless", "latest");
     let playground = Playground::with_pipeline(&live);
-    // Small images show a leak of each frame, too, and take a third of the processor time.
+    // A leak at each frame also shows with small images, which take a third of the processor time.
     let (width, height) = if asked.is_some() { (640, 480) } else { (160, 120) };
     let (focal, cx, cy) = (width * 525 / 640, f64::from(width - 1) / 2.0, f64::from(height - 1) / 2.0);
     let camera = format!("source.intrinsics={{ fx = {focal}, fy = {focal}, cx = {cx:?}, cy = {cy:?} }}");
@@ -94,9 +94,9 @@ fn a_long_run_uses_no_more_memory_and_files_at_its_end_than_at_its_beginning() {
     }
     let ended = run.end();
     assert_eq!(files_in_shared_memory(&prefix), [""; 0], "left in shared memory");
-    // In a long run the first fifth does not count.
+    // The first fifth of the samples does not count.
     let (first, last) = (&samples[samples.len() / 5], samples.last().unwrap());
-    // A stage may have a file open for a moment, so each measurement is the least of several.
+    // A stage may have a file open for a moment, so the number of open files is the minimum of several samples.
     const LOOKS: usize = 6;
     let (early, late) = (&samples[samples.len() / 5..][..LOOKS], &samples[samples.len() - LOOKS..]);
     let open_files =
@@ -107,7 +107,7 @@ fn a_long_run_uses_no_more_memory_and_files_at_its_end_than_at_its_beginning() {
         assert!(after.private_kb <= before.private_kb + SLACK_KB, "{stage}: {before:?}, {after:?}");
         assert_eq!(open_files(late, stage), open_files(early, stage), "{stage}");
         assert!(after.threads <= MOST_THREADS, "{stage}: {after:?}");
-        // A program without optimisation is larger.
+        // The limit does not apply to a debug build, because a program without optimisation is larger.
         assert!(cfg!(debug_assertions) || after.resident_kb <= MOST_RESIDENT_KB, "{stage}: {after:?}");
         assert_eq!(ended.stage(stage).starts, 1, "{}", ended.stderr);
     }

@@ -1,5 +1,5 @@
-//! Kills at random moments: after each one the run continues or is gone, and nothing is left behind. `CONICFLOW_STRESS_ROUNDS=300
-//! cargo test --test end_to_end -- stress --nocapture` does some hundred.
+//! Kills processes at random moments: after each kill the run continues or has ended, and it leaves no files or processes.
+//! `CONICFLOW_STRESS_ROUNDS=300 cargo test --test end_to_end -- stress --nocapture` does 300 rounds.
 
 use crate::processes::{files_below, files_in_shared_memory, shared_prefix, stages_of, wait_for_lines};
 use crate::support::{Playground, Started, TRACKING, TRACKING_STAGES, signal, wait_until};
@@ -32,7 +32,7 @@ enum Victims {
 const MOMENTS: [Moment; 4] = [Moment::Start, Moment::AtWork, Moment::Swap, Moment::End];
 const VICTIMS: [Victims; 4] = [Victims::Stage, Victims::TwoStages, Victims::Launcher, Victims::All];
 
-/// What the runs of the playground have left: their files in shared memory, and those in the runtime folder, except lock files.
+/// Files that the runs of the playground have left in shared memory and in the runtime folder, except lock files.
 pub fn files(playground: &Playground, prefix: &str) -> BTreeSet<String> {
     let below = files_below(playground.runtime()).into_iter().map(|path| path.display().to_string());
     files_in_shared_memory(prefix).into_iter().chain(below.filter(|path| !path.ends_with("lock"))).collect()
@@ -51,7 +51,7 @@ fn sleep_up_to(random: &mut fastrand::Rng, milliseconds: u64) {
     std::thread::sleep(Duration::from_millis(random.u64(0..=milliseconds)));
 }
 
-/// Starts a run and waits for this moment. Returns the run, and the swap under way.
+/// Starts a run and waits for this moment. Returns the run, and the swap if one is under way.
 fn come_to(moment: Moment, playground: &Playground, random: &mut fastrand::Rng) -> (Started, Option<Started>) {
     let mut run = playground.start(&["run", "--set", "source.rate_hz=100"]);
     if moment == Moment::Start {
@@ -97,7 +97,7 @@ fn round(moment: Moment, victims: Victims, playground: &Playground, random: &mut
     }
     let ended = run.wait();
     if goes_on {
-        // If a stage and the one after it die at once, messages between them are lost.
+        // If a stage and the one after it are killed at the same time, messages between them are lost.
         let ended = if victims == Victims::Stage { ended.expect_code(0) } else { ended.expect_survived() };
         let sequences = playground.sequences("tracks.jsonl");
         assert!(sequences.is_sorted(), "frames went back: {}", ended.stderr);

@@ -150,12 +150,13 @@ impl Playground {
         playground
     }
 
-    /// Creates a playground for runs whose /dev/shm is not that of the test.
+    /// Creates a playground whose runtime files lie in /tmp, for runs that have another /dev/shm than the test.
     pub fn outside_shared_memory() -> Self {
         Self::with_runs_in("/tmp")
     }
 
-    /// Unix sockets lie in the runtime folder, so its path has to be short.
+    /// Creates a playground whose runtime folder lies in this folder. The path has to be short, because the runtime folder
+    /// contains Unix sockets.
     fn with_runs_in(folder: &str) -> Self {
         let private = Permissions::from_mode(0o700);
         let runtime = tempfile::Builder::new().prefix("cf").permissions(private).tempdir_in(folder).unwrap();
@@ -252,7 +253,7 @@ impl Playground {
     }
 
     /// The sequence number in the last complete line of a file of JSON objects; 0 without such a line. Reads only the end of the
-    /// file, because tests poll it, and that time is missing for the stages.
+    /// file, because tests call this function repeatedly, and it takes processor time from the stages.
     pub fn newest(&self, name: &str) -> u64 {
         const LENGTH: u64 = 512 * 1024;
         let Ok(mut file) = File::open(self.path(name)) else { return 0 };
@@ -317,8 +318,8 @@ impl Playground {
 }
 
 impl Drop for Playground {
-    /// Ends the processes that a failed test has left running, and removes the shared memory that killed processes have left, as
-    /// long as the runtime folder, which leads to it, exists.
+    /// Ends the processes that a failed test has left running, and removes the shared memory that killed processes have left.
+    /// This happens before the runtime folder is removed, because `doctor` finds the shared memory by this folder.
     fn drop(&mut self) {
         let since = Instant::now();
         while !self.processes().is_empty() && since.elapsed() < DEADLINE {
@@ -326,7 +327,8 @@ impl Drop for Playground {
             std::thread::sleep(CHECK_PERIOD);
         }
         if self.runtime().join("shm").is_dir() {
-            // In the folder of the test's files `doctor` would also check the pipeline file.
+            // The command runs in the runtime folder, because in the folder of the test's files `doctor` would also check the
+            // pipeline file.
             self.command(&["doctor", "--clean"]).current_dir(self.runtime()).output().ok();
         }
     }
@@ -349,8 +351,8 @@ pub fn read_png(path: &Path) -> (png::OutputInfo, Vec<u8>) {
     (info, bytes)
 }
 
-/// Copies a program by another process. If this process had the copy open for writing, a process that another test forks at that
-/// moment would inherit it, and the copy could not be executed.
+/// Copies a program with `cp`. If the test process itself had the copy open for writing, a process that another test forks at
+/// that moment would inherit the open file, and the copy could not be executed.
 pub fn copy_program(from: &Path, to: &Path) {
     assert!(Command::new("cp").args([from, to]).status().unwrap().success());
 }
@@ -361,7 +363,7 @@ pub fn processes() -> impl Iterator<Item = u32> {
     entries.filter_map(|entry| entry.file_name().to_str()?.parse().ok())
 }
 
-/// Parent of a running process.
+/// Parent of a process; `None` if the process does not run.
 pub fn parent(process: u32) -> Option<u32> {
     let stat = fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
     let mut after_name = stat.rsplit_once(')')?.1.split_whitespace();
@@ -437,7 +439,7 @@ pub fn python_with(modules: &str, lacks: &str) -> Option<String> {
 /// A running program. It is killed together with its stages when the test ends, also if the test fails.
 pub struct Started {
     child: Child,
-    /// Files with its standard output and standard error.
+    /// Files with the standard output and the standard error of the program.
     texts: TempDir,
 }
 
@@ -473,17 +475,17 @@ impl Started {
         Self { child: command.spawn().unwrap(), texts }
     }
 
-    /// Id of its process.
+    /// Id of the process of the program.
     pub fn id(&self) -> u32 {
         self.child.id()
     }
 
-    /// Whether it runs.
+    /// Whether the program runs.
     pub fn is_running(&mut self) -> bool {
         self.child.try_wait().unwrap().is_none()
     }
 
-    /// Its standard error so far.
+    /// Standard error of the program so far.
     pub fn stderr(&self) -> String {
         self.text("stderr")
     }
@@ -502,19 +504,19 @@ impl Started {
         }
     }
 
-    /// Waits until its standard error contains this text.
+    /// Waits until the standard error of the program contains this text.
     pub fn wait_for_text(&mut self, text: &str) {
         let path = self.texts.path().join("stderr");
         self.wait_until(text, || fs::read_to_string(&path).unwrap().contains(text));
     }
 
-    /// Interrupts it, as Ctrl-C does, and asserts that it ends with exit code 0.
+    /// Interrupts the program, as Ctrl-C does, and asserts that it ends with exit code 0.
     pub fn end(self) -> Ended {
         signal(self.id(), Signal::INT);
         self.wait().expect_code(0)
     }
 
-    /// Waits until it ends.
+    /// Waits until the program ends.
     pub fn wait(mut self) -> Ended {
         let since = Instant::now();
         loop {
@@ -529,8 +531,8 @@ impl Started {
 
 impl Drop for Started {
     fn drop(&mut self) {
-        // A run needs time to clean up. On a busy machine it takes seconds, also for a browser and for programs that wait for
-        // others before they end, such as `conicflow view`.
+        // A run needs time to clean up, which on a busy machine takes seconds. Browsers need this time, too, and so do programs
+        // that wait for other programs before they end, such as `conicflow view`.
         let since = Instant::now();
         let is_running = |child: &mut Child| matches!(child.try_wait(), Ok(None));
         if is_running(&mut self.child) {
@@ -572,19 +574,20 @@ pub struct InputRow {
 }
 
 impl Ended {
-    /// Asserts that it ended with this exit code.
+    /// Asserts that the program ended with this exit code.
     pub fn expect_code(self, code: i32) -> Self {
         assert_eq!(self.code, Some(code), "stdout: {}\nstderr: {}", self.stdout, self.stderr);
         self
     }
 
-    /// Asserts that it ended with exit code 0, or with exit code 1 and a report of the messages that a lossless reader has lost.
+    /// Asserts that the program ended with exit code 0, or with exit code 1 and a report of the messages that a lossless reader
+    /// has lost.
     pub fn expect_survived(self) -> Self {
         let has_losses = self.stderr.contains(" messages of the lossless topic `");
         self.expect_code(i32::from(has_losses))
     }
 
-    /// Asserts that its standard error contains each of these texts.
+    /// Asserts that the standard error of the program contains each of these texts.
     pub fn expect_texts(&self, texts: &[&str]) {
         for text in texts {
             assert!(self.stderr.contains(text), "no `{text}` in: {}", self.stderr);

@@ -19,7 +19,7 @@ pub fn replace(playground: &Playground, run: &Started, arguments: &[&str]) {
     assert_eq!(after, before, "only `{}` was to be replaced", arguments[0]);
 }
 
-/// Replaces a stage, and waits until the run delivers more.
+/// Replaces a stage, and waits until the run delivers further tracks.
 fn swap(playground: &Playground, run: &mut Started, arguments: &[&str]) {
     replace(playground, run, arguments);
     wait_for_lines(run, playground);
@@ -39,7 +39,7 @@ fn a_lossless_pipeline_loses_nothing_when_each_of_its_stages_is_replaced() {
     }
 }
 
-/// The largest number of frames between two successive ones.
+/// The largest number of frames that are missing between two successive ones.
 pub fn longest_gap(frames: &[u64]) -> u64 {
     assert!(frames.is_sorted(), "frames went back: {frames:?}");
     frames.windows(2).map(|pair| pair[1] - pair[0] - 1).max().unwrap()
@@ -47,7 +47,7 @@ pub fn longest_gap(frames: &[u64]) -> u64 {
 
 /// Number of frames that a live pipeline may lose at a swap.
 const LIVE_GAP: u64 = 3;
-/// Number of swaps of which one has to be this quick: on a busy machine most may take longer.
+/// Maximum number of swaps until one loses no more than [`LIVE_GAP`] frames: on a busy machine most swaps may lose more.
 const TRIES: usize = 9;
 
 /// Replaces a stage until a live pipeline loses no more frames than it may. `swap` does a swap and returns the number of lost
@@ -156,10 +156,10 @@ fn used(stages: &BTreeMap<String, u32>) -> BTreeSet<PathBuf> {
     stages.values().flat_map(|process| shared_files(*process)).collect()
 }
 
-/// Permitted growth of a neighbour's memory in kB: a few pages that it had not touched before.
+/// Permitted growth of the memory of a neighbouring stage in kB: a few pages that the stage had not touched before.
 const SLACK_KB: u64 = 512;
 
-/// The number of lost frames is the median over all swaps.
+/// The limit of three frames applies to the median over all swaps.
 #[test]
 fn a_hundred_swaps_of_a_live_run_cost_no_memory_and_three_frames_each_at_most() {
     let (playground, mut run) = at_work(&TRACKING.replace("lossless", "latest"), 30);

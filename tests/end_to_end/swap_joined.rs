@@ -20,7 +20,7 @@ fn paired(delivery: &str) -> String {
     format!("{}\n{sink}", TRACKING.replace("lossless", delivery))
 }
 
-/// The lines of the sink: a frame's number, and those of its image and ellipses.
+/// The lines of the sink: the numbers of the objects, of the image and of the ellipses of each frame.
 fn pairs(playground: &Playground) -> Vec<[Option<u64>; 3]> {
     let row = |line: &String| {
         let numbers: Vec<_> = line.split(' ').map(|word| word.parse().ok()).collect();
@@ -70,8 +70,8 @@ fn live_inputs_of_the_same_frame_are_together_again_after_three_frames() {
     run.end();
 }
 
-/// Two cameras that write the same topic. Only one of the extractors writes `ellipses`: two would each send the same frame, and
-/// the sink would take it once.
+/// Two cameras that write the same topic. Only one of the two extractors writes `ellipses`: if both did, each would send every
+/// frame, and the sink would take it only once.
 const TWO_CAMERAS: &str = r#"
 name = "cameras"
 

@@ -35,7 +35,7 @@ impl Star {
     }
 }
 
-/// More frames than all machines keep while a cable is out.
+/// [`TRACKING`] with more frames than all machines can keep while a cable is unplugged.
 fn finite() -> String {
     TRACKING.replace("rate_hz    = 0", "rate_hz    = 60\nframes     = 200")
 }

@@ -15,7 +15,7 @@ const LINES: usize = 24;
 const CLEAR: &str = "\x1b[H\x1b[2J";
 const DEADLINE: Duration = Duration::from_secs(60);
 
-/// The program's end of a terminal, and its output, screen by screen.
+/// Opens a terminal. Returns the end of the program, and the output of the program screen by screen.
 fn screens() -> (OwnedFd, Receiver<String>) {
     let (mut outer, inner) = terminal();
     let size = Winsize { ws_row: LINES as u16, ws_col: COLUMNS as u16, ws_xpixel: 0, ws_ypixel: 0 };
@@ -54,7 +54,7 @@ fn top_fits_its_terminal_and_is_redrawn() {
         }
     }
     assert_ne!(seen[0], seen[1], "it counts on");
-    // A program that a shell starts in the background ignores SIGINT, and so do its children.
+    // The signal is not SIGINT: if a shell starts the tests in the background, they and their children ignore SIGINT.
     signal(top.id(), Signal::TERM);
     top.wait().unwrap();
     run.end();

@@ -1,4 +1,4 @@
-//! `conicflow topic`: an onlooker sees all messages, and does not affect the stages, whatever happens to it.
+//! Tests of `conicflow topic`: an onlooker sees all messages, and does not affect the stages, even if it is stopped or killed.
 
 use crate::processes::{at_work, stages_of, wait_for_lines};
 use crate::support::{Ended, Playground, Started, TRACKING, TRACKING_STAGES, TRACKING_TOPICS, signal};
@@ -31,7 +31,7 @@ fn end_without_loss(mut run: Started, playground: &Playground) -> Ended {
 
 /// Processor time of processes, in nanoseconds.
 fn processor_ns(processes: impl IntoIterator<Item = u32>) -> u64 {
-    // A thread may have ended in the meantime.
+    // A thread of the process may end before its time is read; it is left out.
     let of_thread = |thread: std::io::Result<DirEntry>| {
         let text = fs::read_to_string(thread.ok()?.path().join("schedstat")).ok()?;
         text.split_whitespace().next()?.parse::<u64>().ok()
@@ -151,7 +151,8 @@ fn the_ninth_observer_is_refused() {
 #[test]
 fn rates_and_bytes_are_those_that_were_sent() {
     let (playground, mut run) = at_work(TRACKING, 50);
-    // A rate is that of one second, in which a busy host may have sent nothing, or everything that had waited.
+    // Each line has the rate of one second. A busy host may send nothing in one second, and all messages that had waited in
+    // another.
     run.wait_until("seconds in which it keeps its rate", || {
         let hz = playground.conicflow(&["topic", "hz", "depth", "--count", "2"]).expect_code(0);
         assert_eq!(hz.stdout.lines().count(), 2);

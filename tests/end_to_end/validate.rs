@@ -27,7 +27,7 @@ fn faulty_files() -> Vec<PathBuf> {
     files
 }
 
-/// All files there except the expected texts.
+/// All files in the folder of faulty files except the expected texts.
 fn names_in_folder() -> BTreeSet<PathBuf> {
     let paths = fs::read_dir(folder()).unwrap().map(|entry| entry.unwrap().path());
     paths.filter(|path| path.extension().is_none_or(|end| end != "txt")).collect()
@@ -172,7 +172,7 @@ fn more_stages_than_a_run_can_start_are_refused() {
     Playground::with_pipeline(&with(500)).conicflow(&["validate"]).expect_code(0);
 }
 
-/// File names of recordings often are dates.
+/// Recordings often have dates as file names.
 #[test]
 fn the_hint_for_text_that_looks_like_a_number_or_a_date_says_how_to_write_it() {
     let playground = Playground::with_pipeline(RECORDING);

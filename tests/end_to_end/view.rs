@@ -10,7 +10,7 @@ use std::process::ChildStdout;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-/// A run without an end, at a rate that leaves time for others.
+/// Arguments of a run that does not end by itself, at a rate that leaves processor time for other programs.
 pub const SLOWLY: [&str; 3] = ["run", "--set", "source.rate_hz=30"];
 /// Maximum time of an answer.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(90);
@@ -29,7 +29,7 @@ pub struct Answer {
     pub body: Vec<u8>,
 }
 
-/// Sends a request to `host` as it is, and reads the answer.
+/// Sends the unchanged text of a request to `host`, and reads the answer.
 pub fn exchange(host: &str, request: &str) -> Answer {
     let mut stream = TcpStream::connect(host).unwrap();
     stream.set_read_timeout(Some(ANSWER_TIMEOUT)).unwrap();
@@ -90,7 +90,7 @@ impl Page {
         format!("http://{}/", self.host)
     }
 
-    /// Sends a request as it is, and reads the answer.
+    /// Sends the unchanged text of a request, and reads the answer.
     pub fn send(&self, request: &str) -> Answer {
         exchange(&self.host, request)
     }
@@ -100,7 +100,7 @@ impl Page {
         self.send(&format!("GET {path} HTTP/1.1\r\nHost: {}\r\n\r\n", self.host))
     }
 
-    /// Requests, as the browser `name`, what is newer than `frames` frames.
+    /// Requests, as the browser `name`, the update for a page that already has `frames` frames.
     fn ask_for_update(&self, name: &str, frames: u64) -> (Json, Vec<u16>) {
         self.get(&format!("/look?browser={name}&frames={frames}&columns=32")).update()
     }
@@ -124,7 +124,7 @@ impl Page {
         })
     }
 
-    /// Requests until the answer is as expected. Panics with the last answer if it never is.
+    /// Sends requests until an answer is as expected. Panics with the last answer if none is.
     fn wait(&self, what: &str, mut ask: impl FnMut() -> (bool, Json, Vec<u16>)) -> (Json, Vec<u16>) {
         let since = Instant::now();
         loop {
@@ -257,7 +257,7 @@ fn a_hundred_browsers_and_broken_connections_cost_the_run_nothing() {
     let page = Page::open(&playground, &[]);
     let mut run = playground.start(&["run", "--set", "source.rate_hz=60", "--frames", FRAMES]);
     run.wait_until("it delivers", || !playground.lines("tracks.jsonl").is_empty());
-    // Half of the clients request and never read. They stay connected until the run is over.
+    // Half of the clients send requests, and never read the answers. They stay connected until the run has ended.
     let silent: Vec<_> = (0..50)
         .map(|number| {
             let mut stream = TcpStream::connect(&page.host).unwrap();
@@ -272,7 +272,7 @@ fn a_hundred_browsers_and_broken_connections_cost_the_run_nothing() {
         stream.set_read_timeout(Some(ANSWER_TIMEOUT)).unwrap();
         write!(stream, "GET /look?browser=l{number} HTTP/1.1\r\nHost: {}\r\n\r\n", page.host).ok();
         let mut begin = [0; 12];
-        // A client that leaves after a few bytes leaves in the middle of the answer.
+        // The client leaves after twelve bytes, which is in the middle of the answer.
         if stream.read_exact(&mut begin).is_ok() && begin.ends_with(b"503") {
             refused += 1;
         }
@@ -282,7 +282,7 @@ fn a_hundred_browsers_and_broken_connections_cost_the_run_nothing() {
     drop(silent);
     assert_eq!(playground.sequences("tracks.jsonl"), (0..FRAMES.parse().unwrap()).collect::<Vec<u64>>());
     assert_eq!(ended.input("depth", "extractor").dropped + ended.input("tracks", "json").dropped, 0);
-    // Later clients are served.
+    // The server also serves clients that connect later.
     wait_until("a browser is served again", || page.get("/look?browser=late").status == 200);
 }
 
@@ -304,7 +304,7 @@ fn a_recording_is_played_paused_stepped_and_sought() {
     assert_eq!(page.send_command(&json!({ "do": "pause" })), 204);
     let at =
         |sequence: u64| move |json: &Json| json["frame"]["sequence"] == sequence && json["player"]["plays"] == false;
-    // 30 frames in a second, the first at 0.
+    // The recording has 30 frames per second, and the first frame is at time 0.
     assert_eq!(page.send_command(&json!({ "do": "seek", "at_s": 1.99 })), 204);
     let (json, pixels) = page.frame("the frame at two seconds", at(60));
     assert_eq!(pixels.len(), 32 * 24);

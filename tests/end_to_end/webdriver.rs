@@ -13,7 +13,7 @@ use std::process::{ChildStdout, Command, Stdio};
 use std::time::Duration;
 use tempfile::TempDir;
 
-/// Without a graphics card, and without requests to the network.
+/// Arguments of Chromium: it needs no graphics card, and sends no requests of its own to the network.
 const CHROMIUM: [&str; 10] = [
     "--headless",
     "--no-sandbox",
@@ -27,13 +27,13 @@ const CHROMIUM: [&str; 10] = [
     "--disable-sync",
 ];
 const FIREFOX: [&str; 3] = ["--marionette", "--remote-allow-system-access", "--no-remote"];
-/// With a port of its own, and without processes for pages that may be opened later.
+/// Settings of Firefox: it takes a free port for Marionette, and starts no processes for pages that may be opened later.
 const FIREFOX_SETTINGS: &str = "user_pref('marionette.port', 0);
 user_pref('fission.autostart', false);
 user_pref('dom.ipc.processCount', 1);
 user_pref('dom.ipc.processPrelaunch.enabled', false);
 ";
-/// The errors that the page has written to Firefox's console.
+/// Script that returns the errors that the page has written to Firefox's console.
 const FAULTS_IN_FIREFOX: &str = "return Services.console.getMessageArray()
     .filter(told => told instanceof Ci.nsIScriptError && told.sourceName.startsWith('http://127.0.0.1')
         && !(told.flags & Ci.nsIScriptError.warningFlag))
@@ -73,7 +73,7 @@ pub fn in_each_browser(width: u32, height: u32, mut test: impl FnMut(&Browser)) 
     }
 }
 
-/// The first of these programs that is installed.
+/// The first of these programs that is installed. If none is installed, prints that the browser is skipped.
 fn program(names: &[&'static str]) -> Option<&'static str> {
     let is_there = |name: &&str| {
         let looked = Command::new("sh").args(["-c", "command -v \"$0\"", name]).stdout(Stdio::null()).status();
@@ -112,7 +112,7 @@ impl Browser {
     fn firefox(width: u32, height: u32) -> Option<Self> {
         let mut command = Command::new(program(&["firefox-esr", "firefox"])?);
         let mut xvfb = Command::new(program(&["Xvfb"])?);
-        // The window has a frame, and does not cover the whole screen.
+        // The screen is larger than the window, because the window has a frame and does not cover the whole screen.
         let screen = format!("{}x{}x24", width + 100, height + 100);
         xvfb.args(["-displayfd", "1", "-nolisten", "tcp", "-screen", "0", &screen]);
         let (display, mut output) = Started::piped(xvfb);
@@ -166,7 +166,8 @@ impl Browser {
         self.ask("/execute/sync", "WebDriver:ExecuteScript", &script)
     }
 
-    /// Checks only five times a second, because each check takes time that the browser needs to draw.
+    /// Waits until a condition holds in the page. Checks it only five times a second, because each check takes time that the
+    /// browser needs to draw.
     pub fn wait(&self, what: &str, condition: &str) {
         let holds = || {
             let holds = self.value(condition) == true;
