@@ -153,7 +153,7 @@ impl Codec for AsInMemory {
         let count = (items.len() / self.item.size()) as u32;
         bytes.push(tag_of(how));
         bytes.extend(count.to_le_bytes());
-        bytes.extend(pack(how, items).map_err(WireError::Broken)?);
+        bytes.extend_from_slice(&pack(how, items).map_err(WireError::Broken)?);
         Ok(())
     }
 
@@ -164,7 +164,9 @@ impl Codec for AsInMemory {
         let length = (u32::from_le_bytes(*count) as usize).checked_mul(self.item.size());
         let length = length.filter(|length| *length <= MAX_MESSAGE);
         let length = length.ok_or_else(|| broken("a list that claims to be longer than a message may be"))?;
-        self.items = unpack(how, packed, length).map_err(WireError::Broken)?;
+        let unpacked = unpack(how, packed, length).map_err(WireError::Broken)?;
+        self.items.clear();
+        self.items.extend_from_slice(&unpacked);
         Ok(self.item.check(header, &self.items)?)
     }
 

@@ -1,6 +1,7 @@
 //! The compression methods of edges between machines, and their numbers on the wire.
 
 use conicflow_dataflow::pipeline::Compression;
+use std::borrow::Cow;
 use std::cell::RefCell;
 use std::io;
 use zstd::bulk::{Compressor, Decompressor};
@@ -33,25 +34,25 @@ pub(super) fn of_tag(tag: u8) -> Result<Compression, String> {
 }
 
 /// Compresses bytes.
-pub(super) fn pack(how: Compression, bytes: &[u8]) -> Result<Vec<u8>, String> {
+pub(super) fn pack(how: Compression, bytes: &[u8]) -> Result<Cow<'_, [u8]>, String> {
     match how {
-        Compression::None => Ok(bytes.to_vec()),
-        Compression::Lz4 => Ok(lz4_flex::block::compress(bytes)),
+        Compression::None => Ok(Cow::Borrowed(bytes)),
+        Compression::Lz4 => Ok(Cow::Owned(lz4_flex::block::compress(bytes))),
         Compression::Zstd => COMPRESSOR.with_borrow_mut(|compressor| {
             let packed = compressor.as_mut().map(|compressor| compressor.compress(bytes));
-            packed.map_err(|error| error.to_string())?.map_err(|error| error.to_string())
+            packed.map_err(|error| error.to_string())?.map(Cow::Owned).map_err(|error| error.to_string())
         }),
     }
 }
 
 /// Decompresses bytes and checks that there are `length` of them.
-pub(super) fn unpack(how: Compression, packed: &[u8], length: usize) -> Result<Vec<u8>, String> {
+pub(super) fn unpack(how: Compression, packed: &[u8], length: usize) -> Result<Cow<'_, [u8]>, String> {
     let unpacked = match how {
-        Compression::None => packed.to_vec(),
-        Compression::Lz4 => lz4_flex::block::decompress(packed, length).map_err(|error| error.to_string())?,
+        Compression::None => Cow::Borrowed(packed),
+        Compression::Lz4 => Cow::Owned(lz4_flex::block::decompress(packed, length).map_err(|error| error.to_string())?),
         Compression::Zstd => DECOMPRESSOR.with_borrow_mut(|decompressor| {
             let unpacked = decompressor.as_mut().map(|decompressor| decompressor.decompress(packed, length));
-            unpacked.map_err(|error| error.to_string())?.map_err(|error| error.to_string())
+            unpacked.map_err(|error| error.to_string())?.map(Cow::Owned).map_err(|error| error.to_string())
         })?,
     };
     let unpacked_length = unpacked.len();

@@ -2,14 +2,14 @@
 //! split into a plane of low bytes and one of high bytes, and compressed.
 
 use super::compression::{pack, unpack};
+use bytemuck::{cast_slice, cast_slice_mut};
 use conicflow_dataflow::pipeline::Compression;
 
 /// Appends the compressed pixels of an image of `width` columns to `bytes`.
 pub(super) fn compress(pixels: &[u16], width: usize, how: Compression, bytes: &mut Vec<u8>) -> Result<(), String> {
-    if how == Compression::None {
-        bytes.extend(pixels.iter().flat_map(|pixel| pixel.to_le_bytes()));
-    } else {
-        bytes.extend(pack(how, &split(pixels, width))?);
+    match how {
+        Compression::None => bytes.extend_from_slice(cast_slice(pixels)),
+        _ => bytes.extend_from_slice(&pack(how, &split(pixels, width))?),
     }
     Ok(())
 }
@@ -22,38 +22,39 @@ pub(super) fn decompress(
     pixels: &mut Vec<u16>,
 ) -> Result<(), String> {
     let unpacked = unpack(how, bytes, 2 * width * height)?;
-    pixels.clear();
-    if how == Compression::None {
-        pixels.extend(unpacked.chunks_exact(2).map(|pair| u16::from_le_bytes([pair[0], pair[1]])));
-    } else {
-        join(&unpacked, width, pixels);
+    pixels.resize(width * height, 0);
+    match how {
+        Compression::None => cast_slice_mut(pixels).copy_from_slice(&unpacked),
+        _ => join(&unpacked, width, pixels),
     }
     Ok(())
 }
 
 /// Returns the differences along the rows: all low bytes, then all high bytes.
 fn split(pixels: &[u16], width: usize) -> Vec<u8> {
-    let (mut low, mut high) = (Vec::with_capacity(2 * pixels.len()), Vec::with_capacity(pixels.len()));
-    for row in pixels.chunks(width.max(1)) {
+    let (mut planes, width) = (vec![0; 2 * pixels.len()], width.max(1));
+    let (low, high) = planes.split_at_mut(pixels.len());
+    for ((row, low), high) in pixels.chunks(width).zip(low.chunks_mut(width)).zip(high.chunks_mut(width)) {
         let mut left = 0;
-        for &pixel in row {
-            let [small, large] = zigzag(pixel.wrapping_sub(left)).to_le_bytes();
-            low.push(small);
-            high.push(large);
+        for ((&pixel, low), high) in row.iter().zip(low).zip(high) {
+            [*low, *high] = zigzag(pixel.wrapping_sub(left)).to_le_bytes();
             left = pixel;
         }
     }
-    low.append(&mut high);
-    low
+    planes
 }
 
-fn join(planes: &[u8], width: usize, pixels: &mut Vec<u16>) {
-    let (low, high) = planes.split_at(planes.len() / 2);
-    for (low, high) in low.chunks(width.max(1)).zip(high.chunks(width.max(1))) {
+fn join(planes: &[u8], width: usize, pixels: &mut [u16]) {
+    let ((low, high), width) = (planes.split_at(pixels.len()), width.max(1));
+    for ((row, low), high) in pixels.chunks_mut(width).zip(low.chunks(width)).zip(high.chunks(width)) {
+        // First all differences, which do not depend on each other, then their sums.
+        for ((difference, &low), &high) in row.iter_mut().zip(low).zip(high) {
+            *difference = unzigzag(u16::from_le_bytes([low, high]));
+        }
         let mut left = 0_u16;
-        for (&small, &large) in low.iter().zip(high) {
-            left = left.wrapping_add(unzigzag(u16::from_le_bytes([small, large])));
-            pixels.push(left);
+        for pixel in row {
+            left = left.wrapping_add(*pixel);
+            *pixel = left;
         }
     }
 }

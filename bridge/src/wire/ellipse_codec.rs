@@ -13,11 +13,14 @@ use super::encoding::MAX_MESSAGE;
 use bytemuck::{Pod, Zeroable};
 use conicflow_dataflow::pipeline::Compression;
 use conicflow_messages::{Ellipse, Header, Scan};
+use std::array;
 use std::mem::offset_of;
 use std::ops::Range;
 
 const WHOLE: usize = 8;
 const REAL: usize = real_at(size_of::<Ellipse>());
+/// The number of numbers of an ellipse.
+const NUMBERS: usize = WHOLE + REAL;
 /// The indices of `beyond` among the real numbers.
 const BEYOND: Range<usize> = real_at(offset_of!(Ellipse, beyond))..real_at(offset_of!(Ellipse, contour));
 /// The number of bytes, by significance, of a word.
@@ -39,7 +42,7 @@ const fn real_at(at: usize) -> usize {
 }
 
 /// The words of an ellipse that are compressed: small, or equal to others, where possible.
-type Words = [u64; WHOLE + REAL];
+type Words = [u64; NUMBERS];
 
 /// Appends a compressed list to `bytes`.
 pub(super) fn compress(
@@ -48,17 +51,17 @@ pub(super) fn compress(
     how: Compression,
     bytes: &mut Vec<u8>,
 ) -> Result<(), String> {
-    let mut before = [0; WHOLE];
-    let words: Vec<_> = items.iter().map(|item| to_words(header, item, &mut before)).collect();
-    bytes.extend(length_of(&words)?);
+    let (mut words, mut before) = (vec![0; items.len() * NUMBERS], [0; WHOLE]);
+    for (index, item) in items.iter().enumerate() {
+        let of_item = words[index..].iter_mut().step_by(items.len());
+        of_item.zip(to_words(header, item, &mut before)).for_each(|(place, word)| *place = word);
+    }
+    bytes.extend(length_of(items)?);
     for level in (0..LEVELS).rev() {
-        let mut plane = Vec::with_capacity(words.len() * (WHOLE + REAL));
-        for column in 0..WHOLE + REAL {
-            plane.extend(words.iter().map(|words| (words[column] >> (8 * level)) as u8));
-        }
+        let plane: Vec<_> = words.iter().map(|word| (word >> (8 * level)) as u8).collect();
         let packed = pack(how, &plane)?;
         bytes.extend(length_of(&packed)?);
-        bytes.extend(packed);
+        bytes.extend_from_slice(&packed);
     }
     Ok(())
 }
@@ -78,19 +81,20 @@ pub(super) fn decompress(
     if count > MAX_MESSAGE / size_of::<Ellipse>() {
         return Err(format!("{count} ellipses, allowed are {}", MAX_MESSAGE / size_of::<Ellipse>()));
     }
-    let mut words = vec![[0; WHOLE + REAL]; count];
-    for level in (0..LEVELS).rev() {
+    let mut words = vec![0_u64; count * NUMBERS];
+    for _ in 0..LEVELS {
         let length = take_length(&mut bytes)?;
         let (packed, rest) = bytes.split_at_checked(length).ok_or("less bytes than a list claims to have")?;
-        let plane = unpack(how, packed, count * (WHOLE + REAL))?;
-        for (column, bytes) in plane.chunks(count.max(1)).enumerate() {
-            words.iter_mut().zip(bytes).for_each(|(words, &byte)| words[column] |= u64::from(byte) << (8 * level));
-        }
+        let plane = unpack(how, packed, words.len())?;
+        words.iter_mut().zip(&*plane).for_each(|(word, &byte)| *word = *word << 8 | u64::from(byte));
         bytes = rest;
     }
     let mut before = [0; WHOLE];
     items.clear();
-    items.extend(words.iter().map(|words| from_words(header, words, &mut before)));
+    items.extend((0..count).map(|index| {
+        let of_item = array::from_fn(|number| words[number * count + index]);
+        from_words(header, &of_item, &mut before)
+    }));
     if bytes.is_empty() { Ok(()) } else { Err("more bytes than the list needs".to_owned()) }
 }
 
@@ -103,7 +107,7 @@ fn take_length(bytes: &mut &[u8]) -> Result<usize, String> {
 fn to_words(header: &Header, item: &Ellipse, before: &mut [u32; WHOLE]) -> Words {
     let numbers: Numbers = bytemuck::cast(*item);
     let expected = expected(header, item);
-    let mut words = [0; WHOLE + REAL];
+    let mut words = [0; NUMBERS];
     for (index, whole) in numbers.whole.into_iter().enumerate() {
         words[index] = u64::from(zigzag(whole.wrapping_sub(before[index])));
     }
