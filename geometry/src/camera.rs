@@ -83,7 +83,7 @@ impl ScanPlane {
     /// The plane through the camera's x axis (rows) with `y = slope z`, or through its y axis (columns) with
     /// `x = slope z`.
     pub fn new(scan: Scan, slope: f64) -> Self {
-        Self { scan, slope, stretch: slope.hypot(1.0) }
+        Self { scan, slope, stretch: (1.0 + slope * slope).sqrt() }
     }
 
     /// Direction of the scan line of the plane.

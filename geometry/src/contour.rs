@@ -227,7 +227,7 @@ impl Contour {
             let (error, ray, here) = seen.point.foot(q);
             let along = Along::new(q, &ray, &seen.point.pixel);
             let [_, beside, _] = Along::new(q, &ray, &seen.point.across).discriminant();
-            let cosine = (here.abs() / here.hypot(beside)).max(LEAST_ALONG);
+            let cosine = (here.abs() / (here * here + beside * beside).sqrt()).max(LEAST_ALONG);
             let radius_px = along.curvature_radius(q, &ray) / (along.depth() * seen.point.pixel.norm());
             seen.place(cosine, radius_px, &self.noise);
             seen.used = is_seen(&(ray * along.depth()));

@@ -77,7 +77,8 @@ struct CellSums {
 pub(crate) struct PlaneSquares {
     cells: Vec<CellSums>,
     squares: Vec<Square>,
-    residuals: Vec<Residual>,
+    /// Residuals of lines along rows and along columns, each as long as the side of a square.
+    residuals: [Vec<Residual>; 2],
 }
 
 /// Residual of a pixel from its plane, in standard deviations of the model, and 1; zeros where it is not measured.
@@ -105,38 +106,30 @@ impl PlaneSquares {
         self.fit_squares(view, half, measured);
         let (planes, side) = (planes(&mut self.squares)?, 2 * half);
         let mut square = planes.iter().map(|square| square.square).sum::<f64>() / planes.len() as f64;
-        let residuals = &mut self.residuals;
-        let mut each_line = |direction: usize, look: &mut dyn FnMut(&mut [Residual])| {
+        let (lines, least) = (&mut self.residuals, measured * f64::from(side));
+        for (direction, lines) in lines.iter_mut().enumerate() {
+            lines.clear();
             for plane in planes.iter().step_by(planes.len().div_ceil(MAX_SQUARES)) {
                 for line in 0..LINES_PER_SQUARE {
-                    let count = read_line(view, image, plane, (side, direction, line), residuals);
-                    if count >= measured * f64::from(side) {
-                        look(residuals);
-                    }
+                    add_residuals(view, image, plane, (side, direction, line), least, lines);
                 }
             }
-        };
+        }
+        let length = side as usize;
         let (mut all, mut left) = (0.0, 0.0);
-        (0..2).for_each(|direction| {
-            each_line(direction, &mut |line| {
-                all += energy(line);
-                unbend(line);
-                left += energy(line);
-            });
-        });
-        let is_bent = left < UNBENT * all;
-        if is_bent {
+        for line in lines.iter().flat_map(|lines| lines.chunks_exact(length)) {
+            let energy = energy(line);
+            all += energy;
+            left += energy - parabola(line).map_or(0.0, |(_, explained)| explained);
+        }
+        if left < UNBENT * all {
             square *= left / all;
+            lines.iter_mut().flat_map(|lines| lines.chunks_exact_mut(length)).for_each(unbend);
         }
         let mut px = [0.0; 2];
-        for (direction, px) in px.iter_mut().enumerate() {
+        for (lines, px) in lines.iter().zip(&mut px) {
             let mut covariances: Covariances = [[0.0; 2]; FARTHEST + 1];
-            each_line(direction, &mut |line| {
-                if is_bent {
-                    unbend(line);
-                }
-                add_line(line, square, &mut covariances);
-            });
+            lines.chunks_exact(length).for_each(|line| add_line(line, square, &mut covariances));
             *px = shared(&covariances)?;
         }
         let level = square / kept(f64::from(side * side) / (px[0] * px[1]));
@@ -241,25 +234,28 @@ fn planes(squares: &mut [Square]) -> Option<&[Square]> {
     Some(&squares[..squares.partition_point(|square| square.square <= MAX_SQUARE_RATIO * mean)])
 }
 
-/// Reads the residuals of one of the [`LINES_PER_SQUARE`] rows, or columns, of a square from its plane; returns the number of
-/// measured pixels.
-fn read_line(
+/// Adds the residuals of one of the [`LINES_PER_SQUARE`] rows, or columns, of a square from its plane, if at least `least` of its
+/// pixels are measured.
+fn add_residuals(
     view: &View,
     image: &[u16],
     square: &Square,
     (side, direction, line): (u32, usize, u32),
+    least: f64,
     residuals: &mut Vec<Residual>,
-) -> f64 {
+) {
     let scale = square.depth.powi(2) / view.variance(square.depth).sqrt();
-    let line = (2 * line + 1) * side / (2 * LINES_PER_SQUARE);
-    residuals.clear();
+    let (line, before) = ((2 * line + 1) * side / (2 * LINES_PER_SQUARE), residuals.len());
     residuals.extend((0..side).map(|along| {
         let [x, y] = if direction == 0 { [along, line] } else { [line, along] };
         let depth = view.line(image, square.corner[1] + y)[(square.corner[0] + x) as usize];
         let plane = square.plane.dot(&Vector3::new(1.0, f64::from(x), f64::from(y)));
         if is_measured(depth) { [(1.0 / (f64::from(depth) * view.scale) - plane) * scale, 1.0] } else { [0.0; 2] }
     }));
-    residuals.iter().map(|[_, seen]| seen).sum()
+    let count: f64 = residuals[before..].iter().map(|[_, seen]| seen).sum();
+    if count < least {
+        residuals.truncate(before);
+    }
 }
 
 /// Returns the sum of the squared residuals of a line.
@@ -267,22 +263,34 @@ fn energy(line: &[Residual]) -> f64 {
     line.iter().map(|[residual, _]| residual * residual).sum()
 }
 
+/// Returns the parabola `a + b x + c x^2` that fits a line best, where x goes from -1 to 1 along it, and by how much it reduces the
+/// sum of the squared residuals; `None` where the measured pixels are too few.
+fn parabola(line: &[Residual]) -> Option<(Vector3<f64>, f64)> {
+    let (mut powers, mut right) = ([0.0; 5], [0.0; 3]);
+    for ([residual, seen], x) in line.iter().zip(places(line.len())) {
+        let square = x * x;
+        let terms = [1.0, x, square, square * x, square * square];
+        powers.iter_mut().zip(terms).for_each(|(sum, term)| *sum += seen * term);
+        right.iter_mut().zip(terms).for_each(|(sum, term)| *sum += residual * term);
+    }
+    let (matrix, right) = (Matrix3::from_fn(|i, j| powers[i + j]), Vector3::from(right));
+    let parabola = matrix.cholesky()?.solve(&right);
+    Some((parabola, parabola.dot(&right)))
+}
+
 /// Subtracts from a line the parabola that fits it best.
 fn unbend(line: &mut [Residual]) {
-    let middle = 0.5 * (line.len() as f64 - 1.0);
-    let terms = |place: usize| {
-        let x = place as f64 / middle - 1.0;
-        Vector3::new(1.0, x, x * x)
-    };
-    let (mut matrix, mut right) = (Matrix3::zeros(), Vector3::zeros());
-    for (place, [residual, seen]) in line.iter().enumerate() {
-        let terms = terms(place);
-        matrix += terms * terms.transpose() * *seen;
-        right += terms * *residual;
+    let Some((parabola, _)) = parabola(line) else { return };
+    let places = places(line.len());
+    for ([residual, seen], x) in line.iter_mut().zip(places) {
+        *residual -= *seen * parabola.dot(&Vector3::new(1.0, x, x * x));
     }
-    let Some(factors) = matrix.cholesky() else { return };
-    let parabola = factors.solve(&right);
-    line.iter_mut().enumerate().for_each(|(place, [residual, seen])| *residual -= *seen * parabola.dot(&terms(place)));
+}
+
+/// Returns the places of the pixels of a line, from -1 to 1.
+fn places(length: usize) -> impl Iterator<Item = f64> {
+    let middle = 0.5 * (length as f64 - 1.0);
+    (0..length).map(move |place| place as f64 / middle - 1.0)
 }
 
 /// Adds the products of the residuals of a line; `usual` is the mean square of lines. A line of more than [`MAX_SQUARE_RATIO`]
