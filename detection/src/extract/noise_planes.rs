@@ -461,9 +461,9 @@ mod tests {
         let (view, image) = image(|x, y| 2.0 + sign(if direction == 0 { x } else { y }));
         let (mut covariances, mut residuals) = ([[0.0; 2]; FARTHEST + 1], Vec::new());
         for line in 0..LINES_PER_SQUARE {
-            read_line(&view, &image, &PLANE, (24, direction, line), &mut residuals);
-            add_line(&residuals, 1.0, &mut covariances);
+            add_residuals(&view, &image, &PLANE, (24, direction, line), 24.0, &mut residuals);
         }
+        residuals.chunks_exact(24).for_each(|line| add_line(line, 1.0, &mut covariances));
         covariances
     }
 
@@ -485,9 +485,16 @@ mod tests {
         let (view, mut image) = image(|_, _| 2.001);
         // The hole is in the first row that is read, three pixels below the corner, and in no column that is read.
         image[27 * 150 + 35] = 0;
-        let mut residuals = Vec::new();
+        let read = |direction: usize, least: f64| {
+            let mut residuals = vec![[7.0; 2]; 24];
+            add_residuals(&view, &image, &PLANE, (24, direction, 0), least, &mut residuals);
+            assert_eq!(residuals[..24], [[7.0; 2]; 24], "what was there stays");
+            residuals.split_off(24)
+        };
+        assert_eq!([0, 1].map(|direction| read(direction, 24.0).len()), [0, 24], "all have to be measured");
         let pairs = [0, 1].map(|direction| {
-            let count = read_line(&view, &image, &PLANE, (24, direction, 0), &mut residuals);
+            let residuals = read(direction, 23.0);
+            let count: f64 = residuals.iter().map(|[_, seen]| seen).sum();
             let mut covariances = [[0.0; 2]; FARTHEST + 1];
             add_line(&residuals, 2.0, &mut covariances);
             let [alone, beside, apart] = [0, 1, 5].map(|apart| covariances[apart]);
