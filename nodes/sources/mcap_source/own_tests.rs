@@ -157,7 +157,9 @@ fn a_restart_records_into_another_file() {
     }
     drop(Recorder::create(&path, Limits::default(), RUN, true).unwrap());
     let length = |name: &str| fs::metadata(place.path().join(name)).map_or(0, |about| about.len());
-    assert!(length("run_1.mcap") > 1000 && length("run_2.mcap") == length("run_1.mcap"));
+    // The times in them differ, and so may their compressed lengths.
+    let lengths = ["run_1.mcap", "run_2.mcap"].map(length);
+    assert!(lengths.iter().all(|length| *length > 1000), "{lengths:?}");
     assert!(!place.path().join("run_3.mcap").exists(), "of what was made on trial nothing is left");
     assert!(fs::metadata(&path).unwrap().len() > 1000, "it is left as it was");
     let length = || fs::metadata(&path).unwrap().len();
