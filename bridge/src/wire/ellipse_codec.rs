@@ -19,7 +19,7 @@ use std::ops::Range;
 
 const WHOLE: usize = 8;
 const REAL: usize = real_at(size_of::<Ellipse>());
-/// The number of numbers of an ellipse.
+/// How many numbers an ellipse has.
 const NUMBERS: usize = WHOLE + REAL;
 /// The indices of `beyond` among the real numbers.
 const BEYOND: Range<usize> = real_at(offset_of!(Ellipse, beyond))..real_at(offset_of!(Ellipse, contour));
@@ -51,6 +51,7 @@ pub(super) fn compress(
     how: Compression,
     bytes: &mut Vec<u8>,
 ) -> Result<(), String> {
+    // The words of all ellipses number by number, as they lie in the planes.
     let (mut words, mut before) = (vec![0; items.len() * NUMBERS], [0; WHOLE]);
     for (index, item) in items.iter().enumerate() {
         let of_item = words[index..].iter_mut().step_by(items.len());
