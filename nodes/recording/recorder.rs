@@ -230,11 +230,14 @@ impl Recorder {
 }
 
 impl Drop for Recorder {
-    /// Removes the new file if no message came, for example of a stage that was only created on trial.
+    /// Removes the new file if no message came, for example of a stage that was only created on trial. Otherwise completes the
+    /// open file, if [`Self::finish`] has not done it: the thread that flushes may hold the files for a moment longer.
     fn drop(&mut self) {
-        if let Some(first) = lock(&self.files).first.take_if(|first| first.file.is_new()) {
+        let mut files = lock(&self.files);
+        if let Some(first) = files.first.take_if(|first| first.file.is_new()) {
             fs::remove_file(&first.path).ok();
         }
+        files.complete_open().ok();
     }
 }
 
